@@ -1,0 +1,64 @@
+# The menu: `make` prints it. Every target sets up what it needs; once that is done, it costs nothing.
+
+.DEFAULT_GOAL := menu
+.PHONY: menu setup refine test lint bench samples doctor clean named
+
+BIN := .venv/bin
+READY := .venv/ready
+PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check
+
+define MENU
+make refine ASSET=strawberry    refine a bundled sample or a file; OUT=DIR, ARGS="--size-mm 80 ..."
+make setup                      virtual environment in .venv, packages, LPIPS weights, LLVM
+make test                       all tests; ARGS="-k NAME" for some
+make lint                       ruff
+make bench                      timings into benchmarks/results/
+make samples                    write the bundled samples as GLB files
+make doctor                     what is there, what is missing, how to mend it
+make clean                      remove .venv and caches; your runs stay
+
+PYTHON=/path/to/python3.11      the interpreter for .venv (3.11 or newer; found by itself if not given)
+PIP_ARGS="--extra-index-url https://download.pytorch.org/whl/cpu"
+                                PyTorch without the gigabytes of CUDA, for a Linux machine without a GPU
+endef
+
+menu:
+	@: $(info $(MENU))
+
+setup: $(READY)
+
+$(READY): setup.cfg constraints.txt
+	@for python in $(or $(PYTHON),python3.11 python3.12 python3.13 python3); do \
+	    $$python -c 'import sys, venv; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && break; python=; \
+	done; \
+	[ -n "$$python" ] || { echo "error: no Python 3.11 or newer with venv. Install one, or say PYTHON=/path/to/it" >&2; exit 2; }; \
+	echo "Setting up .venv with $$($$python --version); this takes a few minutes the first time"; \
+	$$python -m venv .venv
+	@$(PIP) --constraint constraints.txt $(PIP_ARGS) --editable '.[dev]'
+	@$(BIN)/python -m genmf_mi.doctor --fix
+	@touch $@
+
+named:
+	@[ -n "$(ASSET)" ] || { echo "error: which asset? For example: make refine ASSET=strawberry" >&2; exit 2; }
+
+refine: named $(READY)
+	@$(BIN)/genmf-mi refine "$(ASSET)" $(if $(OUT),--out "$(OUT)") $(ARGS)
+
+test: $(READY)
+	@$(BIN)/python -m pytest $(ARGS)
+
+lint: $(READY)
+	@$(BIN)/ruff check .
+
+bench: $(READY)
+	@$(BIN)/python -m benchmarks $(ARGS)
+
+samples: $(READY)
+	@$(BIN)/genmf-mi samples $(ARGS)
+
+doctor: $(READY)
+	@$(BIN)/genmf-mi doctor $(ARGS)
+
+clean:
+	rm -rf .venv build dist *.egg-info .pytest_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,175 @@
+"""The command ``genmf-mi``.
+
+Only the standard library and tyro are imported until a command runs, so that ``--help`` answers at once.
+"""
+
+from __future__ import annotations
+
+import gc
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from genmf_mi.config import PRESETS, RefineConfig
+from genmf_mi.errors import GenmfError
+
+INTERRUPTED = 130
+
+USAGE = """genmf-mi: turn a textured 3D asset into a one-colour part whose relief shows the texture
+
+  genmf-mi refine ASSET       refine a file or a bundled sample; writes to runs/NAME
+  genmf-mi evaluate A B       score a one-colour shape B against the textured asset A
+  genmf-mi batch FILES ...    refine many assets, one after the other
+  genmf-mi scene ASSET        print a scene file to edit and use with --scene
+  genmf-mi samples            write the bundled samples as GLB files
+  genmf-mi stress ...         thermal stress by finite elements
+  genmf-mi weights            install the LPIPS weights
+  genmf-mi doctor             what is there, what is missing, how to mend it
+
+Each answers to --help.
+"""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run a command; returns the exit code. Errors that are not ours end in one line and exit code 2."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(USAGE)
+        return 0 if arguments else 2
+    if arguments[0] == "--version":
+        from genmf_mi import __version__
+
+        print(__version__)
+        return 0
+    command, *rest = arguments
+    commands = {
+        "refine": _refine,
+        "evaluate": _evaluate,
+        "batch": _batch,
+        "scene": _scene,
+        "samples": _samples,
+        "stress": _stress,
+        "weights": _weights,
+        "doctor": _doctor,
+    }
+    if command not in commands:
+        print(f"error: there is no command {command!r}.\n\n{USAGE}", file=sys.stderr)
+        return 2
+    try:
+        return commands[command](rest) or 0
+    except GenmfError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return INTERRUPTED
+    finally:
+        gc.collect()  # else nanobind complains at exit of solvers that wait in cycles
+
+
+def _parse(function: Callable, name: str, arguments: list[str]) -> int | None:
+    style = (tyro.conf.FlagCreatePairsOff, tyro.conf.PositionalRequiredArgs)
+    return tyro.cli(function, prog=f"genmf-mi {name}", args=arguments, config=style)
+
+
+@dataclass(frozen=True)
+class Refine:
+    """Turn a textured asset into a one-colour part whose relief shows the texture."""
+
+    asset: tyro.conf.Positional[str]
+    """A GLB, GLTF, OBJ, PLY, 3MF or STL file, or the name of a bundled sample."""
+    out: Path | None = None
+    """Folder for the results; runs/NAME if not given."""
+    preset: Literal["draft", "default", "paper"] = "default"
+    """Where the settings start from: draft (half a minute), default, or paper (512 pixels, long)."""
+    scene: Path | None = None
+    """A scene file (see `genmf-mi scene`)."""
+    reference: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """image.png@azimuth,elevation to match instead of the texture; may be given several times."""
+    force: bool = False
+    """Replace the run in the folder."""
+    resume: bool = False
+    """Continue an interrupted run."""
+    save_exr: bool = False
+    """Also write grey, depth, normal and coverage of every view as OpenEXR."""
+    quiet: bool = False
+    """No progress, only the table."""
+    config: RefineConfig = field(default_factory=RefineConfig)
+
+
+def _refine(arguments: list[str]) -> int:
+    default = Refine(asset=tyro.MISSING, config=_preset(arguments))
+    chosen = tyro.cli(
+        Refine,
+        prog="genmf-mi refine",
+        args=arguments,
+        default=default,
+        config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+    )
+    from genmf_mi.progress import run_refine
+
+    return run_refine(
+        chosen.asset,
+        chosen.config,
+        out=chosen.out,
+        quiet=chosen.quiet,
+        scene=chosen.scene,
+        references=tuple(chosen.reference),
+        force=chosen.force,
+        resume=chosen.resume,
+        save_exr=chosen.save_exr,
+    )
+
+
+def _preset(arguments: list[str]) -> RefineConfig:
+    """The preset named in the arguments: it sets the defaults of all other settings."""
+    words = [word for argument in arguments for word in argument.split("=", 1)]
+    named = [after for word, after in pairwise(words) if word == "--preset"]
+    return PRESETS.get(named[-1] if named else "default", PRESETS["default"])
+
+
+def _evaluate(arguments: list[str]) -> int:
+    from genmf_mi.progress import run_evaluate
+
+    return _parse(run_evaluate, "evaluate", arguments)
+
+
+def _batch(arguments: list[str]) -> int:
+    from genmf_mi.batch import batch
+
+    return _parse(batch, "batch", arguments)
+
+
+def _scene(arguments: list[str]) -> int:
+    from genmf_mi.scene import author
+
+    return _parse(author, "scene", arguments)
+
+
+def _samples(arguments: list[str]) -> int:
+    from genmf_mi.samples import samples
+
+    return _parse(samples, "samples", arguments)
+
+
+def _stress(arguments: list[str]) -> int:
+    from genmf_mi.stress import commands
+
+    return tyro.extras.subcommand_cli_from_dict(commands.COMMANDS, prog="genmf-mi stress", args=arguments)
+
+
+def _weights(arguments: list[str]) -> int:
+    from genmf_mi import weights
+
+    return weights.main(arguments)
+
+
+def _doctor(arguments: list[str]) -> int:
+    from genmf_mi.doctor import doctor
+
+    return _parse(doctor, "doctor", arguments)

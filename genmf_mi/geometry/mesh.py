@@ -1,0 +1,189 @@
+"""Relief on a mesh: what the optimiser moves, and what keeps it within bounds.
+
+The latent variable u is related to the offsets x of the vertices by (I + λL) x = u with the combinatorial Laplacian L
+(Nicolet, Jacobson and Jakob, *Large Steps in Inverse Rendering of Geometry*, 2021): a step on u is a smooth step on the
+surface. The offsets are squashed into the room that each vertex has along and across its normal, so that the cap holds
+at every iteration and not only in the end.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+
+class Relief:
+    """Offsets from a fixed surface.
+
+    base: ``[V,3]`` initial vertices, normalised frame. normals: ``[V,3]`` unit. faces: ``[F,3]``.
+    inward, outward: ``[V]`` room along the normal, normalised units, not negative; a vertex with neither is pinned.
+    sideways: ``[V]`` room across the normal.
+    smoothing: λ.
+    broad: takes the broad part out of the heights. Shading sees slopes, so that it carries nothing, and the gradient,
+        which does not see outlines move, would thin limbs with it.
+    """
+
+    def __init__(
+        self,
+        base: np.ndarray,
+        normals: np.ndarray,
+        faces: np.ndarray,
+        inward: np.ndarray,
+        outward: np.ndarray,
+        sideways: np.ndarray,
+        *,
+        smoothing: float,
+        broad: Smoother | None = None,
+        device: str = "cpu",
+    ) -> None:
+        import torch
+
+        def tensor(x: np.ndarray) -> Tensor:
+            return torch.as_tensor(np.ascontiguousarray(x), dtype=torch.float32, device=device)
+
+        self.base, self.normals = tensor(base), tensor(normals)
+        self.inward, self.outward, self.sideways = (
+            tensor(x)[:, None].clamp_min(1e-9) for x in (inward, outward, sideways)
+        )
+        self.solve, self.broad = Smoother(faces, len(base), smoothing, device), broad
+        self.latent = torch.zeros(len(base), 3, device=device, requires_grad=True)
+
+    def offsets(self) -> Tensor:
+        """``[V,3]``, no longer than the cap: inside the cylinder of each vertex's room, normalised units."""
+        import torch
+
+        x = self.solve(self.latent)
+        height = (x * self.normals).sum(dim=1, keepdim=True)
+        across = x - height * self.normals
+        if self.broad is not None:
+            height = height - self.broad(height)
+        room = torch.where(height > 0, self.outward, self.inward)
+        reach = (across.square().sum(dim=1, keepdim=True) / self.sideways.square() + 1e-12).sqrt()
+        return room * torch.tanh(height / room) * self.normals + across * (torch.tanh(reach) / reach)
+
+    def vertices(self) -> Tensor:
+        """``[V,3]`` in the normalised frame."""
+        return self.base + self.offsets()
+
+    def start_from(self, heights: np.ndarray) -> None:
+        """Make :meth:`offsets` ``heights [V]`` along the normals, up to 0.98 of the room."""
+        import torch
+
+        with torch.no_grad():
+            wanted = torch.as_tensor(heights, dtype=torch.float32, device=self.base.device)[:, None]
+            room = torch.where(wanted > 0, self.outward, self.inward)
+            x = room * torch.atanh((wanted / room).clamp(-0.98, 0.98))
+            self.latent.copy_(self.solve.inverse(x * self.normals))
+
+
+class Smoother:
+    """x = (I + λL)⁻¹ u, differentiable, factorised once by cholespy, on the CPU or the GPU."""
+
+    def __init__(self, faces: np.ndarray, count: int, smoothing: float, device: str = "cpu") -> None:
+        import torch
+        from cholespy import CholeskySolverF, MatrixType
+
+        matrix = laplacian(faces, count) * smoothing
+        matrix.setdiag(matrix.diagonal() + 1)
+        matrix = matrix.tocoo()
+        rows, columns = (torch.as_tensor(x, dtype=torch.int32, device=device) for x in (matrix.row, matrix.col))
+        values = torch.as_tensor(matrix.data, dtype=torch.float64, device=device)
+        self.solver = CholeskySolverF(count, rows, columns, values, MatrixType.COO)
+        self.matrix = torch.sparse_coo_tensor(
+            torch.stack([rows, columns]).long(), values.float(), (count, count), check_invariants=False
+        ).coalesce()
+
+    def __call__(self, u: Tensor) -> Tensor:
+        """``[V,k]`` to ``[V,k]``."""
+        return _solve()(u, self.solver)
+
+    def inverse(self, x: Tensor) -> Tensor:
+        """u = (I + λL) x."""
+        return self.matrix @ x
+
+
+def laplacian(faces: np.ndarray, count: int):
+    """The combinatorial Laplacian (valence minus adjacency) as a SciPy CSR matrix ``[count,count]``."""
+    from scipy.sparse import coo_matrix, diags
+
+    i, j = faces[:, [0, 1, 2]].ravel(), faces[:, [1, 2, 0]].ravel()
+    adjacency = coo_matrix((np.ones(2 * len(i)), (np.r_[i, j], np.r_[j, i])), shape=(count, count)).tocsr()
+    adjacency.data[:] = 1
+    return diags(np.asarray(adjacency.sum(axis=1)).ravel()).tocsr() - adjacency
+
+
+def _solve():
+    """The autograd function, made on first use so that this module can be imported without torch."""
+    import torch
+
+    global _SOLVE
+    if _SOLVE is None:
+
+        def solved(solver, u: Tensor) -> Tensor:
+            u = u.contiguous()
+            x = torch.empty_like(u)
+            solver.solve(u, x)
+            return x
+
+        class Solve(torch.autograd.Function):
+            @staticmethod
+            def forward(ctx, u, solver):
+                ctx.solver = solver
+                return solved(solver, u.detach())
+
+            @staticmethod
+            def backward(ctx, gradient):
+                return solved(ctx.solver, gradient), None  # the matrix is symmetric: its adjoint is the same solve
+
+        _SOLVE = Solve.apply
+    return _SOLVE
+
+
+_SOLVE = None
+
+
+class UniformAdam:
+    """Adam whose step is scaled by one number for the whole surface (Nicolet et al. 2021), made robust.
+
+    The scale is the 99th percentile of the root second moments instead of their maximum, and single gradients are
+    clipped at ten times that: a vertex on a silhouette, whose gradient is a spike, must neither jump nor slow down
+    all others.
+
+    scale: that of the last step. floor: added to it. Gradients well below the floor move the surface in proportion;
+        without it, round-off would be blown up to full steps.
+    """
+
+    def __init__(
+        self, parameter: Tensor, rate: float, *, beta1: float = 0.9, beta2: float = 0.99, floor: float = 0.0
+    ) -> None:
+        import torch
+
+        self.parameter, self.rate, self.beta1, self.beta2, self.floor = parameter, rate, beta1, beta2, floor
+        self.first, self.second = torch.zeros_like(parameter), torch.zeros_like(parameter)
+        self.steps, self.scale = 0, 0.0
+
+    def step(self, rate: float | None = None) -> None:
+        """Move the parameter along its gradient and clear the gradient; ``rate`` overrides the learning rate once."""
+        import torch
+
+        with torch.no_grad():
+            gradient = torch.nan_to_num(self.parameter.grad, nan=0.0, posinf=0.0, neginf=0.0)
+            self.parameter.grad = None
+            self.steps += 1
+            limit = 10 * _percentile(gradient.abs(), 0.99)
+            gradient.clamp_(-limit, limit)
+            self.first.mul_(self.beta1).add_(gradient, alpha=1 - self.beta1)
+            self.second.mul_(self.beta2).addcmul_(gradient, gradient, value=1 - self.beta2)
+            first = self.first / (1 - self.beta1**self.steps)
+            scale = (_percentile(self.second, 0.99) / (1 - self.beta2**self.steps)).sqrt()
+            self.scale = float(scale)
+            self.parameter.sub_(first / (scale + self.floor + 1e-20), alpha=self.rate if rate is None else rate)
+
+
+def _percentile(x: Tensor, share: float) -> Tensor:
+    flat = x.flatten()
+    return flat.kthvalue(max(1, int(share * flat.numel()))).values

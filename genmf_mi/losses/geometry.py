@@ -1,0 +1,77 @@
+"""What keeps the surface sound, read off the depth and normal images (GenMF, section on geometry regularisation).
+
+Depth ``[B,1,H,W]`` in normalised units, normals ``[B,3,H,W]`` in the world frame, both averaged over a pixel's
+samples with 0 outside of the object; masks ``[B,1,H,W]``. Only pixels that the object fills are looked at.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from genmf_mi.losses.appearance import interior, masked_mean
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+BLUR_RADIUS = 2
+"""Pixels; what the blur keeps is taken for shape, the rest for noise."""
+
+
+def blur(x: Tensor, radius: int = BLUR_RADIUS) -> Tensor:
+    """Separable binomial blur of ``[B,C,H,W]`` over 2·radius + 1 pixels, replicating the border."""
+    import torch
+    import torch.nn.functional as F
+
+    kernel = torch.ones(1, dtype=torch.float64)
+    for _ in range(2 * radius):
+        kernel = torch.conv_transpose1d(
+            kernel.view(1, 1, -1), torch.full((1, 1, 2), 0.5, dtype=torch.float64)
+        ).flatten()
+    kernel = kernel.to(x)
+    channels = x.shape[1]
+    x = F.pad(x, (radius,) * 4, mode="replicate")
+    x = F.conv2d(x, kernel.view(1, 1, 1, -1).expand(channels, -1, -1, -1), groups=channels)
+    return F.conv2d(x, kernel.view(1, 1, -1, 1).expand(channels, -1, -1, -1), groups=channels)
+
+
+def _second_derivatives(x: Tensor) -> tuple[Tensor, Tensor]:
+    """Central ∂²/∂x² and ∂²/∂y² per pixel, zero at the border; two ``[B,C,H,W]``."""
+    import torch.nn.functional as F
+
+    horizontal = x[..., :, 2:] - 2 * x[..., :, 1:-1] + x[..., :, :-2]
+    vertical = x[..., 2:, :] - 2 * x[..., 1:-1, :] + x[..., :-2, :]
+    return F.pad(horizontal, (1, 1, 0, 0)), F.pad(vertical, (0, 0, 1, 1))
+
+
+def depth_smoothness(depth: Tensor, mask: Tensor) -> Tensor:
+    """L_depth-sm = E‖∇²(D − blur(D))‖₁, in normalised units."""
+    xx, yy = _second_derivatives(depth - blur(depth))
+    return masked_mean(xx.abs() + yy.abs(), interior(mask, BLUR_RADIUS + 1))
+
+
+def normal_smoothness(normal: Tensor, mask: Tensor) -> Tensor:
+    """L_norm-sm = E‖∇²(N − blur(N))‖₂, the norm over both derivatives and the three components."""
+    xx, yy = _second_derivatives(normal - blur(normal))
+    squared = (xx.square() + yy.square()).sum(dim=1, keepdim=True)
+    return masked_mean((squared + 1e-12).sqrt() - 1e-6, interior(mask, BLUR_RADIUS + 1))
+
+
+def teacher_depth(depth: Tensor, teacher: Tensor, mask: Tensor) -> Tensor:
+    """L_teac-depth = E|D − D_t|, in normalised units; the teacher is the initial shape."""
+    return masked_mean((depth - teacher).abs(), interior(mask))
+
+
+def teacher_normal(normal: Tensor, teacher: Tensor, mask: Tensor) -> Tensor:
+    """L_teac-norm = 1 − E|N·N_t|."""
+    return 1 - masked_mean(_cosine(normal, teacher).abs(), interior(mask))
+
+
+def orientation(normal: Tensor, teacher: Tensor, mask: Tensor) -> Tensor:
+    """Guard beside L_teac-norm, whose absolute value cannot see a flipped normal: E[max(0, −N·N_t)]."""
+    return masked_mean((-_cosine(normal, teacher)).clamp_min(0), interior(mask))
+
+
+def _cosine(a: Tensor, b: Tensor) -> Tensor:
+    """``[B,1,H,W]`` cosine between two normal images; a pixel's average normal is shorter than one."""
+    dot = (a * b).sum(dim=1, keepdim=True)
+    return dot * ((a.square().sum(dim=1, keepdim=True) + 1e-12) * (b.square().sum(dim=1, keepdim=True) + 1e-12)).rsqrt()

@@ -1,0 +1,74 @@
+"""The weighted sum of GenMF: every term by name, and what it weighs."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+from genmf_mi.losses import appearance, geometry, perceptual
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from genmf_mi.bridge import Buffers
+    from genmf_mi.config import Weights
+
+MARGIN = 12
+"""Pixels around the object that are kept."""
+GRID = 64
+"""Windows start and end on multiples of this many pixels: torch keeps what it prepared for every image size it met."""
+LEAST = 48
+"""Pixels that are kept at least: AlexNet cannot look at fewer than 31."""
+
+
+def terms(part: Buffers, reference: Buffers, weights: Weights) -> dict[str, Tensor]:
+    """The terms with a weight, unweighted, by the names of :class:`Weights`.
+
+    part: the render being improved; without geometry buffers only the appearance is judged. reference: the textured
+    object at the same rays, whose depth and normal are the teacher's. Only the part of the frame around the object is
+    looked at; what LPIPS averages over is therefore smaller than in the evaluation.
+    """
+    window = _window(reference.coverage)
+    part, reference = part.crop(window), reference.crop(window)
+    mask = reference.coverage
+    aligned, target = appearance.on_screen(
+        part.grey, mask if part.coverage is None else part.coverage.detach(), reference.grey, mask
+    )
+    by_name = {
+        "grey_l1": lambda: appearance.grey_l1(aligned, target, mask),
+        "grey_lpips": lambda: perceptual.lpips(aligned, target).mean(),
+        "structure": lambda: appearance.structure(aligned, target, mask),
+        "gradient_structure": lambda: appearance.structure(
+            appearance.gradient_magnitude(aligned), appearance.gradient_magnitude(target), mask
+        ),
+        "gradient": lambda: appearance.gradient_match(aligned, target, mask),
+        "polarity": lambda: appearance.polarity(aligned, target, mask),
+    }
+    if part.depth is not None:
+        by_name |= {
+            "depth_smoothness": lambda: geometry.depth_smoothness(part.depth, mask),
+            "normal_smoothness": lambda: geometry.normal_smoothness(part.normal, mask),
+            "teacher_depth": lambda: geometry.teacher_depth(part.depth, reference.depth, mask),
+            "teacher_normal": lambda: geometry.teacher_normal(part.normal, reference.normal, mask),
+            "orientation": lambda: geometry.orientation(part.normal, reference.normal, mask),
+        }
+    return {name: term() for name, term in by_name.items() if getattr(weights, name) > 0}
+
+
+def total(values: dict[str, Tensor], weights: Weights) -> Tensor:
+    """Σ λ L."""
+    factors = asdict(weights)
+    return sum(factors[name] * value for name, value in values.items())
+
+
+def _window(mask: Tensor) -> tuple[slice, slice]:
+    """Rows and columns of ``mask [B,1,H,W]`` that hold the object, and a margin for the windows of the losses."""
+    occupied = mask.amax(dim=(0, 1)) > 0
+
+    def span(flags: Tensor) -> slice:
+        found = flags.nonzero()
+        first, last = (int(found[0]), int(found[-1])) if len(found) else (0, len(flags) - 1)
+        margin = max(MARGIN, (LEAST - (last + 1 - first)) // 2)
+        return slice(max(first - margin, 0), last + 1 + margin)
+
+    return span(occupied.any(dim=1)), span(occupied.any(dim=0))

@@ -1,0 +1,163 @@
+"""Metrics and settings as rows of text: nested dicts made flat, numbers made legible, comparisons put side by side."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from numbers import Number
+
+import numpy as np
+
+DASH = "–"
+"""What stands for a value that was not measured."""
+
+STATES = ("before", "displacement", "after")
+
+_WORDS = {
+    "ssim": "SSIM",
+    "lpips_alex": "LPIPS (AlexNet)",
+    "lpips_vgg": "LPIPS (VGG16)",
+    "g_ssim": "SSIM of gradients",
+    "g_lpips": "LPIPS of gradients",
+    "inside": "inside the silhouette",
+    "mask": "inside the silhouette",
+    "grey_l1": "grey L1",
+    "lpips": "LPIPS",
+    "p99": "99th percentile",
+    "max": "largest",
+}
+_UNITS = {"mm": "mm", "mm2": "mm²", "mm3": "mm³", "seconds": "s", "s": "s", "deg": "°", "mb": "MB"}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A table with one row per metric and one column per state (before, displacement, after).
+
+    group: where the metrics stand in the nested dict without the state, e.g. ``("unseen",)``.
+    rows: name, cells by state, change from before to after in words.
+    """
+
+    group: tuple[str, ...]
+    title: str
+    states: list[str]
+    rows: list[tuple[str, list[str], str]]
+
+
+def flatten(nested: object, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], object]]:
+    """Leaves of nested dicts and lists with their paths; lists of plain values are leaves, dotted keys are split."""
+    if isinstance(nested, dict):
+        for key, value in nested.items():
+            yield from flatten(value, path + tuple(str(key).split(".")))
+    elif isinstance(nested, (list, tuple)) and any(isinstance(value, (dict, list, tuple)) for value in nested):
+        for index, value in enumerate(nested):
+            yield from flatten(value, (*path, str(index + 1)))
+    else:
+        yield path, nested
+
+
+def label(path: tuple[str, ...] | str) -> str:
+    """A path as people read it: ``("unseen", "lpips_alex")`` becomes "unseen · LPIPS (AlexNet)"."""
+    path = (path,) if isinstance(path, str) else path
+    return " · ".join(_WORDS.get(key) or _without_unit(key).replace("_", " ") for key in path)
+
+
+def _without_unit(key: str) -> str:
+    name, _, unit = key.rpartition("_")
+    return name if name and unit in _UNITS else key
+
+
+def text(value: object) -> str:
+    """A value as people read and copy it; a dash for None and for what is not finite."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if value is None:
+        return DASH
+    if isinstance(value, (bool, np.bool_)):
+        return "yes" if value else "no"
+    if isinstance(value, (int, np.integer)):
+        return str(int(value))
+    if isinstance(value, (float, np.floating)):
+        if not math.isfinite(value):
+            return DASH
+        return f"{value:.0f}" if 1e5 <= abs(value) < 1e12 else f"{value:.5g}"
+    if isinstance(value, (list, tuple)):
+        return ", ".join(text(entry) for entry in value) or DASH
+    return str(value)
+
+
+def with_unit(path: tuple[str, ...], value: object) -> str:
+    """:func:`text` with the unit that the names of the path carry (``relief_mm``, ``volume_mm3``, ``seconds``)."""
+    written = text(value)
+    if written == DASH or not isinstance(value, Number) or isinstance(value, bool):
+        return written
+    for key in reversed(path):
+        unit = _UNITS.get(key.rsplit("_", 1)[-1])
+        if unit:
+            return f"{written}\N{NO-BREAK SPACE}{unit}"
+    return written
+
+
+def rows(nested: dict) -> list[tuple[str, str]]:
+    """Every leaf of a nested dict as name and text."""
+    return [(label(path), with_unit(path, value)) for path, value in flatten(nested)]
+
+
+def compare(metrics: dict) -> tuple[list[Comparison], list[tuple[str, str]]]:
+    """Split metrics into side-by-side tables, one per group that has states, and the remaining rows."""
+    groups: dict[tuple[str, ...], dict[str, dict[str, object]]] = {}
+    rest = []
+    for path, value in flatten(metrics):
+        state = next((i for i, key in enumerate(path[:-1]) if key in STATES), None)
+        if state is None:
+            rest.append((label(path), with_unit(path, value)))
+        else:
+            group = path[:state] + path[state + 1 : -1]
+            groups.setdefault(group, {}).setdefault(path[-1], {})[path[state]] = value
+    return [_comparison(group, table) for group, table in groups.items()], rest
+
+
+def _comparison(group: tuple[str, ...], table: dict[str, dict[str, object]]) -> Comparison:
+    states = [state for state in STATES if any(state in cells for cells in table.values())]
+    rows = []
+    for name, cells in table.items():
+        written = [_cell(name, cells.get(state)) for state in states]
+        rows.append((label(name), written, change(name, cells.get("before"), cells.get("after"))))
+    titles = {
+        (): "Standard views, full frame",
+        ("unseen",): "Views and lights the optimiser never saw",
+    }
+    return Comparison(group, titles.get(group, label(group).capitalize()), states, rows)
+
+
+def _cell(name: str, value: object) -> str:
+    """Similarities and distances get four decimals each, so that a column can be read down."""
+    if _direction(name) and is_finite(value):
+        return f"{value:.4f}"
+    return with_unit((name,), value)
+
+
+def change(name: str, before: object, after: object) -> str:
+    """The change between two values in words, judged where the metric has a good direction."""
+    if not (is_finite(before) and is_finite(after)):
+        return DASH
+    difference = after - before
+    if abs(difference) < 5e-5:
+        return "no change"
+    amount = f"{difference:+.4f}".replace("-", "−")
+    if before:
+        amount += f" ({100 * difference / abs(before):+.0f} %)".replace("-", "−")
+    direction = _direction(name)
+    return f"{amount}, {'better' if direction * difference > 0 else 'worse'}" if direction else amount
+
+
+def is_finite(value: object) -> bool:
+    """Whether ``value`` is a finite number (booleans are not numbers here)."""
+    return isinstance(value, (int, float, np.number)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _direction(name: str) -> int:
+    """1 where more is better, -1 where less is better, 0 where neither."""
+    if "lpips" in name:
+        return -1
+    return 1 if "ssim" in name else 0

@@ -1,0 +1,1 @@
+"""Mitsuba scene files, one per bundled sample and ``default.xml`` for everything else."""

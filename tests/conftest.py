@@ -1,0 +1,64 @@
+"""What all tests share: a fixed number of threads, and the folder of real assets where there is one."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+# Before NumPy and torch are imported: many threads on small arrays only cost time, and sums depend on their number.
+os.environ.setdefault("OMP_NUM_THREADS", "2")
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def assets() -> Path:
+    """The folder of textured meshes that ``GENMF_TEST_ASSETS`` names; skips the test if it is not set."""
+    folder = os.environ.get("GENMF_TEST_ASSETS")
+    if not folder:
+        pytest.skip("GENMF_TEST_ASSETS is not set; it names a folder of textured meshes")
+    return Path(folder)
+
+
+@pytest.fixture(scope="module")
+def lpips_weights():
+    """LPIPS networks for whole runs: the installed weights, or random ones where there are none."""
+    import torch
+
+    from genmf_mi import weights
+    from genmf_mi.losses import perceptual
+
+    if not weights.missing():
+        yield
+        return
+
+    def random(network: str) -> dict[str, torch.Tensor]:
+        generator, inputs, made = torch.Generator().manual_seed(0), 3, {}
+        kernels = (11, 5, 3, 3, 3) if network == "alex" else (3,) * 13
+        for i, (outputs, kernel) in enumerate(zip(weights._CHANNELS[network], kernels, strict=True)):
+            scale = (2 / (inputs * kernel**2)) ** 0.5
+            made[f"conv{i}.weight"] = scale * torch.randn(outputs, inputs, kernel, kernel, generator=generator)
+            made[f"conv{i}.bias"], inputs = torch.zeros(outputs), outputs
+        for i, tap in enumerate(weights.TAPS[network]):
+            made[f"linear{i}"] = torch.rand(weights._CHANNELS[network][tap], generator=generator)
+        return made
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(weights, "load", random)
+        patch.setattr(weights, "missing", list)
+        perceptual._network.cache_clear()
+        yield
+    perceptual._network.cache_clear()
+
+
+@pytest.fixture(scope="module")
+def two_views(tmp_path_factory) -> Path:
+    """A scene file with two standard views instead of six."""
+    from genmf_mi import scene
+
+    text = scene.find("default").read_text()
+    six = scene.read_defaults(scene.find("default"))["views"]
+    path = tmp_path_factory.mktemp("scene") / "two_views.xml"
+    path.write_text(text.replace(six, "0:20 180:-10"))
+    return path

@@ -1,0 +1,262 @@
+"""The folder of a run: who may write into it, and what survives a crash."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from genmf_mi.config import PRESETS, RefineConfig, Weights
+from genmf_mi.errors import ConfigError, OutputError
+from genmf_mi.run import CHECKPOINT, CONFIG, HISTORY, METRICS, Run
+
+SETTINGS = RefineConfig(iterations=50, view_jitter=(10.0, 5.0), weights=Weights(grey_l1=0.3))
+
+
+def started(folder: Path, config: RefineConfig = SETTINGS, asset: str = "toy", *, force=False, resume=False) -> Run:
+    return Run.open(folder, asset, config, force=force, resume=resume)
+
+
+def lines(first: int, last: int) -> list[dict]:
+    return [{"iteration": i, "loss": 1 / (i + 1)} for i in range(first, last)]
+
+
+def state(iteration: int) -> dict[str, np.ndarray]:
+    return {"iteration": np.array(iteration), "latent": np.arange(6.0).reshape(2, 3) * iteration}
+
+
+def interrupted(folder: Path, iteration: int = 25) -> Run:
+    run = started(folder)
+    run.save(state(iteration), lines(0, iteration))
+    return run
+
+
+def finished(folder: Path) -> Run:
+    run = interrupted(folder)
+    run.finish({"after": {"ssim": 0.9}, "interrupted": False})
+    return run
+
+
+def stopped(folder: Path) -> Run:
+    """By Ctrl-C: what there is was written, and the run can go on."""
+    run = interrupted(folder)
+    run.finish({"after": {"ssim": 0.8}, "interrupted": True})
+    return run
+
+
+def failed(folder: Path) -> Run:
+    """Before its first checkpoint, for want of a texture say."""
+    return started(folder)
+
+
+class TestOpen:
+    def test_settings_are_there_from_the_start(self, tmp_path):
+        run = started(tmp_path / "deep" / "er")
+        written = yaml.safe_load((tmp_path / "deep" / "er" / CONFIG).read_text())
+        assert written == run.settings() == {"asset": "toy", **SETTINGS.to_dict()}
+        del written["asset"]
+        assert RefineConfig.from_dict(written) == SETTINGS
+        assert os.listdir(run.folder) == [CONFIG]
+
+    @pytest.mark.parametrize(
+        ("before", "message"),
+        [(finished, "a finished run.*--force"), (interrupted, "an interrupted run.*--resume.*--force"),
+         (stopped, "an interrupted run.*--resume.*--force")],
+    )  # fmt: skip
+    def test_a_run_is_not_overwritten(self, tmp_path, before, message):
+        before(tmp_path)
+        contents = {name: (tmp_path / name).read_bytes() for name in os.listdir(tmp_path)}
+        with pytest.raises(OutputError, match=message):
+            started(tmp_path)
+        assert {name: (tmp_path / name).read_bytes() for name in os.listdir(tmp_path)} == contents
+
+    @pytest.mark.parametrize("before", [finished, interrupted, stopped, failed])
+    def test_with_force_it_is(self, tmp_path, before):
+        """Whatever could be taken for the new run's is gone; other files stay."""
+        before(tmp_path)
+        (tmp_path / "note.txt").write_text("mine")
+        started(tmp_path, replace(SETTINGS, iterations=7), force=True)
+        assert set(os.listdir(tmp_path)) == {CONFIG, "note.txt"}
+        assert Run(tmp_path).settings()["iterations"] == 7
+
+    def test_a_run_that_failed_early_may_be_tried_again(self, tmp_path):
+        failed(tmp_path)
+        assert started(tmp_path, replace(SETTINGS, iterations=8)).settings()["iterations"] == 8
+
+    @pytest.mark.parametrize("before", [interrupted, stopped])
+    def test_resume(self, tmp_path, before):
+        before(tmp_path)
+        run = started(tmp_path, resume=True)
+        loaded, history = run.load()
+        assert int(loaded["iteration"]) == 25
+        np.testing.assert_array_equal(loaded["latent"], state(25)["latent"])
+        assert history == lines(0, 25)
+
+    def test_another_device_may_resume(self, tmp_path):
+        interrupted(tmp_path)
+        started(tmp_path, replace(SETTINGS, device="cpu"), resume=True)
+
+    @pytest.mark.parametrize("before", [finished, failed, None])
+    def test_nothing_to_resume(self, tmp_path, before):
+        if before:
+            before(tmp_path)
+        with pytest.raises(OutputError, match=r"no interrupted run.*without --resume"):
+            started(tmp_path, resume=True)
+
+    @pytest.mark.parametrize(
+        ("change", "named"),
+        [({"iterations": 51}, "iterations"), ({"weights": Weights()}, "weights"), ({"seed": 1}, "seed"),
+         ({"view_jitter": (10.0, 6.0)}, "view_jitter"), ({"size_mm": 90.0, "edge_mm": 1.0}, "edge_mm, size_mm")],
+    )  # fmt: skip
+    def test_resume_with_other_settings_is_refused_by_name(self, tmp_path, change, named):
+        interrupted(tmp_path)
+        with pytest.raises(ConfigError, match=f"another {named}\\."):
+            started(tmp_path, replace(SETTINGS, **change), resume=True)
+
+    def test_resume_with_another_asset_is_refused(self, tmp_path):
+        interrupted(tmp_path)
+        with pytest.raises(ConfigError, match="another asset"):
+            started(tmp_path, asset="other", resume=True)
+
+    @pytest.mark.parametrize("text", ["", "a list", "- 1", "{unclosed", "\x00"])
+    def test_resume_with_damaged_settings(self, tmp_path, text):
+        interrupted(tmp_path)
+        (tmp_path / CONFIG).write_text(text)
+        with pytest.raises(OutputError, match="--force"):
+            started(tmp_path, resume=True)
+
+    @pytest.mark.parametrize("force", [False, True])
+    def test_where_nothing_can_be_written(self, tmp_path, force):
+        (tmp_path / "file").touch()
+        for folder in (tmp_path / "file", tmp_path / "file" / "below"):
+            with pytest.raises(OutputError, match="cannot write"):
+                started(folder, force=force)
+
+    @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+    def test_without_permission(self, tmp_path):
+        for mode in (0o500, 0o000):
+            tmp_path.chmod(mode)
+            with pytest.raises(OutputError, match=r"cannot (read|write)"):
+                started(tmp_path / "run")
+            tmp_path.chmod(0o700)
+
+
+class TestSave:
+    def test_a_line_per_iteration(self, tmp_path):
+        run = started(tmp_path)
+        for count in (2, 5):
+            run.save(state(count), lines(0, count))
+            assert [json.loads(x) for x in (tmp_path / HISTORY).read_text().splitlines()] == lines(0, count)
+            assert int(run.load()[0]["iteration"]) == count
+        assert set(os.listdir(tmp_path)) == {CONFIG, HISTORY, CHECKPOINT}
+
+    def test_crash_between_the_two_files(self, tmp_path, monkeypatch):
+        """The checkpoint is older than the history: the run goes on from the checkpoint."""
+        run = interrupted(tmp_path)
+
+        def stop(*_, **__):
+            raise KeyboardInterrupt
+
+        with monkeypatch.context() as patch:
+            patch.setattr(np, "savez", stop)
+            with pytest.raises(KeyboardInterrupt):
+                run.save(state(30), lines(0, 30))
+        loaded, history = run.load()
+        assert int(loaded["iteration"]) == 25 and history == lines(0, 25)
+        run.save(state(28), lines(0, 28))
+        assert run.load()[1] == lines(0, 28)
+
+    def test_disk_full(self, tmp_path, monkeypatch):
+        """The last good checkpoint survives, and no temporary file stays."""
+        run = interrupted(tmp_path)
+
+        def full(path, **arrays):
+            Path(path).write_bytes(b"half")
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+        monkeypatch.setattr(np, "savez", full)
+        with pytest.raises(OutputError, match="No space left"):
+            run.save(state(30), lines(0, 30))
+        assert set(os.listdir(tmp_path)) == {CONFIG, HISTORY, CHECKPOINT}
+        assert int(run.load()[0]["iteration"]) == 25
+
+    def test_folder_gone(self, tmp_path):
+        """Somebody tidied up: it is made again. Somebody put a file there: that is said."""
+        Run(tmp_path / "gone").save(state(1), lines(0, 1))
+        assert set(os.listdir(tmp_path / "gone")) == {HISTORY, CHECKPOINT}
+        (tmp_path / "file").touch()
+        with pytest.raises(OutputError, match="cannot write"):
+            Run(tmp_path / "file").save(state(1), lines(0, 1))
+
+
+class TestLoad:
+    @pytest.mark.parametrize(
+        "damage",
+        [lambda data: b"", lambda data: b"not a zip", lambda data: data[:100], lambda data: data[:-30],
+         lambda data: data[:90] + bytes(20) + data[110:]],
+    )  # fmt: skip
+    def test_damaged_checkpoint(self, tmp_path, damage):
+        run = interrupted(tmp_path)
+        path = tmp_path / CHECKPOINT
+        path.write_bytes(damage(path.read_bytes()))
+        with pytest.raises(OutputError, match=r"damaged.*--force"):
+            run.load()
+
+    def test_checkpoint_of_something_else(self, tmp_path):
+        run = interrupted(tmp_path)
+        np.savez(tmp_path / CHECKPOINT, weights=np.zeros(3))
+        with pytest.raises(OutputError, match="damaged"):
+            run.load()
+
+    @pytest.mark.parametrize("text", [None, "", "not json\n" * 25, '{"loss": 1}\n' * 25, "[]\n" * 25])
+    def test_history_that_does_not_fit(self, tmp_path, text):
+        run = interrupted(tmp_path)
+        (tmp_path / HISTORY).unlink() if text is None else (tmp_path / HISTORY).write_text(text)
+        with pytest.raises(OutputError, match="--force"):
+            run.load()
+
+
+class TestFinish:
+    def test_complete(self, tmp_path):
+        finished(tmp_path)
+        assert set(os.listdir(tmp_path)) == {CONFIG, HISTORY, METRICS}
+        assert json.loads((tmp_path / METRICS).read_text())["after"] == {"ssim": 0.9}
+
+    def test_interrupted(self, tmp_path):
+        """Metrics of the part so far, and the means to go on."""
+        stopped(tmp_path)
+        assert set(os.listdir(tmp_path)) == {CONFIG, HISTORY, METRICS, CHECKPOINT}
+
+
+class TestSettings:
+    @pytest.mark.parametrize("config", [*PRESETS.values(), SETTINGS], ids=[*PRESETS, "own"])
+    def test_round_trip_through_yaml(self, config):
+        assert RefineConfig.from_dict(yaml.safe_load(yaml.safe_dump(config.to_dict()))) == config
+
+    @pytest.mark.parametrize("data", [{"colour": 1}, {"weights": {"colour": 1.0}}])
+    def test_unknown_setting(self, data):
+        with pytest.raises(ConfigError, match="colour"):
+            RefineConfig.from_dict(data)
+
+    @pytest.mark.parametrize(
+        ("setting", "value"),
+        [("size_mm", 0.0), ("size_mm", -5.0), ("size_mm", float("nan")), ("size_mm", float("inf")),
+         ("max_relief_mm", -0.1), ("max_relief_mm", 20.0), ("nozzle_mm", 0.0), ("edge_mm", -1.0), ("iterations", -1),
+         ("resolution", 32), ("samples", 0), ("max_faces", 10), ("learning_rate", 0.0), ("learning_rate", float("nan")),
+         ("smoothing", -1.0), ("gradient_floor", -1.0), ("view_jitter", (-1.0, 0.0)), ("light_jitter", -1.0),
+         ("stage_one_share", 1.5)],
+    )  # fmt: skip
+    def test_out_of_range(self, setting, value):
+        """The message names the setting as the command line spells it."""
+        with pytest.raises(ConfigError, match=setting.replace("_", "-")):
+            replace(RefineConfig(), **{setting: value})
+
+    def test_negative_weight(self):
+        with pytest.raises(ConfigError, match="grey-l1"):
+            Weights(grey_l1=-1.0)

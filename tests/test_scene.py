@@ -1,0 +1,218 @@
+"""Scene files and the cameras and lights that they describe."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import genmf_mi.scenes
+import numpy as np
+import pytest
+import trimesh
+
+from genmf_mi import bridge, samples, scene, variant
+from genmf_mi.errors import AssetError, SceneError
+from genmf_mi.scene import View
+
+BUNDLED = sorted(Path(genmf_mi.scenes.__file__).parent.glob("*.xml"))
+DEFAULT = scene.find("default").read_text()
+
+
+@pytest.fixture(scope="module")
+def ball(tmp_path_factory) -> Path:
+    """A ball of radius 0.95 as a PLY file."""
+    variant.use("cpu")
+    mesh = trimesh.creation.icosphere(3)
+    path = tmp_path_factory.mktemp("ball") / "ball.ply"
+    bridge.write_ply(path, 0.95 * mesh.vertices, mesh.faces)
+    return path
+
+
+@pytest.fixture(scope="module")
+def loaded(ball) -> scene.Scene:
+    return scene.load(scene.find("default"), ball, radius=0.95, resolution=64, samples=16)
+
+
+def position(azimuth: float, elevation: float) -> np.ndarray:
+    a, e = np.radians([azimuth, elevation])
+    return np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
+
+
+class TestView:
+    @pytest.mark.parametrize(("azimuth", "elevation"), [(0, 0), (90, 0), (37, 20), (200, -60), (-30, 80), (10, 90)])
+    def test_camera(self, azimuth, elevation):
+        """On the sphere, looking at the origin, upright, with x to the left and z forward: a rotation."""
+        matrix = scene.camera_to_world(View(azimuth, elevation), 3.0)
+        np.testing.assert_allclose(matrix[:3, 3], 3 * position(azimuth, elevation), atol=1e-12)
+        np.testing.assert_allclose(matrix[:3, 2], -position(azimuth, elevation), atol=1e-12)
+        np.testing.assert_allclose(matrix[:3, :3].T @ matrix[:3, :3], np.eye(3), atol=1e-12)
+        assert np.linalg.det(matrix[:3, :3]) == pytest.approx(1)
+        assert matrix[1, 0] == pytest.approx(0, abs=1e-12)
+        assert matrix[1, 1] >= -1e-12
+
+    def test_azimuth_90_looks_at_the_x_side(self):
+        np.testing.assert_allclose(scene.camera_to_world(View(90, 0), 2.0)[:3, 3], [2, 0, 0], atol=1e-12)
+
+    def test_label(self):
+        assert View(30, -10.5).label == "azimuth 30°, elevation -10.5°"
+
+
+@pytest.mark.parametrize("path", BUNDLED, ids=lambda path: path.stem)
+class TestBundledFiles:
+    def test_loads_with_its_views(self, path, ball):
+        part = scene.load(path, ball, radius=0.95)
+        assert len(part.views) == len(set(part.views)) == 6
+        assert (part.resolution, part.sensor.sampler().sample_count()) == (384, 4)
+        assert type(part.bsdf).__name__ == "TwoLight"
+        assert part.integrator.aovs
+
+    def test_own_camera_is_that_of_a_view(self, path, ball):
+        """What the file shows in plain Mitsuba is what `View` means by the same angles."""
+        import mitsuba as mi
+
+        plain = mi.load_file(str(path), mesh=str(ball), azimuth="50", elevation="-15", distance="3.5")
+        matrix = np.array(plain.sensors()[0].world_transform().matrix).reshape(4, 4)
+        np.testing.assert_allclose(matrix, scene.camera_to_world(View(50, -15), 3.5), atol=1e-6)
+
+    def test_is_named_after_a_sample(self, path):
+        assert path.stem == "default" or path.stem in samples.NAMES
+        assert ElementTree.parse(path).getroot().find("default").get("name") == "mesh"
+
+
+class TestLoaded:
+    def test_the_ball_fills_the_frame(self, loaded):
+        """Its silhouette is 1/MARGIN of the frame, from every side."""
+        seen = bridge.render(loaded, [View(0, 0), View(77, -40)]).coverage[:, 0].numpy()
+        for mask in seen:
+            assert mask[[0, -1]].max() == mask[:, [0, -1]].max() == 0
+            assert (mask > 0.5).any(axis=0).sum() == pytest.approx(64 / scene.MARGIN, abs=1.5)
+            assert (mask > 0.5).any(axis=1).sum() == pytest.approx(64 / scene.MARGIN, abs=1.5)
+
+    def test_looking_moves_the_camera(self, loaded):
+        """Depth and normal in the middle of the picture, for several views in a row."""
+        views = [View(0, 0), View(90, 30), View(215, -50), View(0, 0)]
+        seen = bridge.render(loaded, views)
+        for i, view in enumerate(views):
+            middle = slice(30, 34)
+            assert seen.depth[i, 0, middle, middle].mean().item() == pytest.approx(loaded.distance - 0.95, abs=0.02)
+            normal = seen.normal[i, :, middle, middle].mean(dim=(1, 2)).numpy()
+            np.testing.assert_allclose(normal, position(view.azimuth, view.elevation), atol=0.01)
+
+    def test_lights_travel_with_the_camera(self, loaded):
+        """A ball looks the same from everywhere, except for its facets."""
+        seen = bridge.render(loaded, [View(0, 0), View(120, 35)]).grey
+        assert (seen[0] - seen[1]).abs().max() < 0.15
+        assert (seen[0] - seen[1]).abs().mean() < 0.01
+        assert seen[0, 0].argmax() // 64 < 32  # the key light comes from above
+
+    def test_turned_lights(self, loaded):
+        """By 30° to the right and 10° up, about the camera's axes; the next view has them back."""
+        before = {key: np.ravel(loaded.params[key]) for key in variant.light_keys(loaded.shape_id)}
+        loaded.look(View(70, 20, (30.0, 0.0)))
+        for key, light in before.items():
+            x, y, z = light
+            s, c = np.sin(np.pi / 6), np.cos(np.pi / 6)
+            np.testing.assert_allclose(np.ravel(loaded.params[key]), [c * x + s * z, y, c * z - s * x], atol=1e-6)
+        loaded.look(View(70, 20, (0.0, 90.0)))
+        for key, light in before.items():
+            x, y, z = light
+            np.testing.assert_allclose(np.ravel(loaded.params[key]), [x, -z, y], atol=1e-6)
+        loaded.look(View(70, 20))
+        for key, light in before.items():
+            np.testing.assert_allclose(np.ravel(loaded.params[key]), light, atol=1e-6)
+
+    def test_light_from_the_right_brightens_the_right(self, loaded):
+        """The key light stands in front: turning it by +60° brings it to the right."""
+        seen = bridge.render(loaded, [View(0, 0, (60.0, 0.0)), View(0, 0, (-60.0, 0.0))]).grey[:, 0]
+        left, right = seen[:, :, :32].sum(dim=(1, 2)), seen[:, :, 32:].sum(dim=(1, 2))
+        assert right[0] > 1.2 * left[0] and left[1] > 1.2 * right[1]
+
+    def test_distance_follows_the_radius(self, ball, loaded):
+        assert scene.load(scene.find("default"), ball, radius=1.9).distance == pytest.approx(2 * loaded.distance)
+
+    def test_attribute(self, ball, tmp_path):
+        mesh = trimesh.load(ball, process=False)
+        dark = np.full(len(mesh.vertices), 0.25)
+        bridge.write_ply(tmp_path / "dark.ply", mesh.vertices, mesh.faces, attributes={"vertex_albedo": dark})
+        options = {"radius": 0.95, "resolution": 32}
+        plain = scene.load(scene.find("default"), tmp_path / "dark.ply", **options)
+        multiplied = scene.load(scene.find("default"), tmp_path / "dark.ply", attribute="vertex_albedo", **options)
+        first, second = (bridge.render(s, [View(0, 0)]).grey for s in (plain, multiplied))
+        np.testing.assert_allclose(second, 0.25 * first, atol=1e-6)
+
+
+MATERIAL = DEFAULT[DEFAULT.index("        <bsdf") : DEFAULT.index("        </bsdf>") + len("        </bsdf>\n")]
+BROKEN = {
+    "empty": ("", "not readable as XML"),
+    "cut off": (DEFAULT[:700], "not readable as XML"),
+    "not text": ("\x00\x01", "not readable as XML"),
+    "no mesh": (DEFAULT.replace('name="mesh" value="mesh.ply"', 'name="shape" value="mesh.ply"'), 'name="mesh"'),
+    "another material": (DEFAULT.replace(MATERIAL, '<bsdf type="diffuse"/>'), "twolight"),
+    "one more material": (DEFAULT.replace("    <shape", '    <shape type="rectangle"/>\n    <shape'), "twolight"),
+    "a typing error": (DEFAULT.replace('"sharpness"', '"sharpnes"'), "sharpnes"),
+    "a bad value": (DEFAULT.replace('name="ambient" value="0.2"', 'name="ambient" value="2"'), "ambient"),
+    "no sensor": (DEFAULT[: DEFAULT.index("    <sensor")] + DEFAULT[DEFAULT.index("    <shape") :], "no sensor"),
+    "another integrator": (DEFAULT.replace('"monochrome"', '"path"'), "monochrome"),
+    "no integrator": (DEFAULT.replace('<integrator type="monochrome"/>', ""), "monochrome"),
+    "unknown plugin": (DEFAULT.replace('"multijitter"', '"jittery"'), "jittery"),
+    "orthographic": (DEFAULT.replace('"perspective"', '"orthographic"').replace(
+        '<float name="fov" value="28"/>', ""), "perspective"),
+    "a sphere": (DEFAULT.replace('type="ply"', 'type="sphere"').replace(
+        '<string name="filename" value="$mesh"/>', '<string name="id" value="$mesh"/>'), "mesh|ply"),
+    "no ids": (DEFAULT.replace(' id="camera"', "").replace(' id="object"', ""), "id"),
+    "shared material": (DEFAULT.replace(MATERIAL, '<ref id="m"/>').replace(
+        "    <shape", MATERIAL.replace("<bsdf", '<bsdf id="m"') + "    <shape"), "material"),
+    "not square": (DEFAULT.replace('name="height" value="$resolution"', 'name="height" value="50"'), "square"),
+    "no views": (DEFAULT.replace('"0:20 60:-10 120:20 180:-10 240:20 300:-10"', '""'), "views"),
+    "bad views": (DEFAULT.replace('"0:20 60', '"0:20:5 60'), "azimuth:elevation"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_what_is_wrong_with_a_scene_is_said(name, ball, tmp_path):
+    text, message = BROKEN[name]
+    assert text != DEFAULT
+    path = tmp_path / "my.xml"
+    path.write_text(text)
+    with pytest.raises(SceneError, match=message) as caught:
+        scene.load(path, ball, radius=0.95)
+    assert "my.xml" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_no_such_file(ball, tmp_path):
+    with pytest.raises(SceneError, match="no scene file"):
+        scene.load(tmp_path / "nowhere.xml", ball, radius=1.0)
+    with pytest.raises(SceneError, match="XML"):
+        scene.load(tmp_path, ball, radius=1.0)
+
+
+def test_views_as_text():
+    assert scene.parse_views(" 0:20  -60.5:10\n") == (View(0, 20), View(-60.5, 10))
+
+
+@pytest.mark.parametrize("text", ["", "   ", "0", "0:20:5", "a:b", "nan:0", "0:inf", "0:91", "0,20"])
+def test_bad_views(text):
+    with pytest.raises(SceneError, match="here"):
+        scene.parse_views(text, "here")
+
+
+class TestAuthor:
+    def test_of_a_sample(self, capsys, tmp_path, ball):
+        """The sample's own file: its views, around another mesh."""
+        scene.author("globe", Path("a & b.ply"))
+        path = tmp_path / "my.xml"
+        path.write_text(capsys.readouterr().out)
+        assert scene.read_defaults(path) == scene.read_defaults(scene.find("globe")) | {"mesh": "a & b.ply"}
+        assert scene.load(path, ball, radius=0.95).views == scene.load(scene.find("globe"), ball, radius=0.95).views
+
+    def test_of_a_file(self, capsys, tmp_path):
+        asset = tmp_path / "my toy.glb"
+        asset.touch()
+        scene.author(str(asset))
+        (tmp_path / "my.xml").write_text(capsys.readouterr().out)
+        assert scene.read_defaults(tmp_path / "my.xml")["mesh"] == "my toy.ply"
+
+    def test_of_nothing(self):
+        with pytest.raises(AssetError):
+            scene.author("no such thing")

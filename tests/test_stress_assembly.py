@@ -1,0 +1,61 @@
+"""The P1 kernels against scikit-fem on the same mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from genmf_mi.stress import fem, reference
+from genmf_mi.stress.assembly import P1
+from genmf_mi.stress.materials import material
+from genmf_mi.stress.protocol import Protocol
+from genmf_mi.stress.tetrahedra import TetMesh, stuff
+
+
+@pytest.fixture(scope="module")
+def mesh() -> TetMesh:
+    """An ellipsoid of 60 × 40 × 50 mm, off centre, in about 700 nodes."""
+    ticks = np.linspace(-1, 1, 33)
+    x, y, z = np.meshgrid(ticks, ticks, ticks, indexing="ij")
+    phi = (np.sqrt((x / 0.9) ** 2 + (y / 0.6) ** 2 + (z / 0.75) ** 2) - 1) * 0.6
+    unit = stuff(phi, 0.22)
+    return unit.moved(unit.points * 33.0 + [5.0, 7.0, 30.0])
+
+
+@pytest.fixture(scope="module")
+def forms(mesh: TetMesh) -> reference.Forms:
+    return reference.Forms(mesh, material("pla"))
+
+
+def relative(a, b) -> float:
+    return abs(a - b).max() / abs(b).max()
+
+
+def test_scalar_matrices(mesh: TetMesh, forms: reference.Forms) -> None:
+    elements = P1(mesh)
+    assert relative(elements.stiffness(), forms.stiffness) < 1e-12
+    assert relative(elements.mass(), forms.mass) < 1e-12
+    assert relative(elements.boundary_mass(), forms.boundary_mass) < 1e-12
+    assert relative(elements.boundary_load(), forms.boundary_load) < 1e-12
+
+
+def test_elastic_matrix_and_load(mesh: TetMesh, forms: reference.Forms) -> None:
+    elements = P1(mesh)
+    pla = material("pla")
+    assert relative(elements.elastic(*pla.lame).tocsr(), forms.elasticity) < 1e-12
+    excess = np.sin(mesh.points[:, 0] / 9) - 20
+    load = elements.divergence_load(pla.thermal_modulus * excess[mesh.cells].mean(axis=1))
+    assert relative(load.reshape(-1), forms.thermal_load(excess)) < 1e-12
+
+
+def test_whole_protocol(mesh: TetMesh) -> None:
+    """Temperature, displacement and stress of a whole simulation agree to the tolerance of the solvers."""
+    pla, protocol = material("pla"), Protocol()
+    ours = fem.solve(mesh, pla, protocol)
+    theirs = reference.solve(mesh, pla, protocol)
+    assert relative(ours.temperature - 60, theirs.temperature - 60) < 1e-5
+    moved = theirs.displacement[theirs.elastic_basis.nodal_dofs].T
+    assert np.linalg.norm(ours.displacement - moved) / np.linalg.norm(moved) < 1e-5
+    assert np.allclose(ours.stress, theirs.stress.mean(axis=3).transpose(2, 0, 1), atol=1e-5 * abs(ours.stress).max())
+    mean = np.average(ours.von_mises, weights=ours.elements.volumes)
+    assert mean == pytest.approx(theirs.mean, rel=1e-5)

@@ -1,0 +1,105 @@
+"""Isosurface stuffing: conforming, well shaped, and true to the shape."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from genmf_mi.errors import SolidError
+from genmf_mi.stress import tetrahedra
+from genmf_mi.stress.distance import axis, signed_distance
+from genmf_mi.stress.tetrahedra import TetMesh, largest_body, stuff
+
+
+def shapes() -> dict[str, np.ndarray]:
+    ticks = axis(49)
+    x, y, z = np.meshgrid(ticks, ticks, ticks, indexing="ij")
+    block = trimesh.creation.box((1.9, 1.1, 0.7))
+    return {
+        "ball": np.sqrt(x**2 + y**2 + z**2) - 0.83,
+        "torus": np.hypot(np.hypot(x, z) - 0.6, y) - 0.27,
+        "block": signed_distance(block.vertices, block.faces, 49),
+        "rough": np.sqrt(x**2 + y**2 + z**2) - 0.7 + 0.08 * np.sin(9 * x) * np.sin(9 * y) * np.sin(9 * z),
+    }
+
+
+def dihedral_angles(mesh: TetMesh) -> np.ndarray:
+    """In degrees, ``[T,6]``."""
+    corner = mesh.points[mesh.cells]
+    normals = []
+    for a, b, c in tetrahedra._FACES:
+        n = np.cross(corner[:, b] - corner[:, a], corner[:, c] - corner[:, a])
+        normals.append(n / np.linalg.norm(n, axis=1, keepdims=True))
+    cosine = [-(normals[i] * normals[j]).sum(axis=1) for i in range(4) for j in range(i)]
+    return np.degrees(np.arccos(np.clip(cosine, -1, 1))).T
+
+
+@pytest.mark.parametrize("name", ["ball", "torus", "block", "rough"])
+@pytest.mark.parametrize("edge", [0.09, 0.137])
+def test_mesh_is_sound(name: str, edge: float) -> None:
+    mesh = stuff(shapes()[name], edge)
+    assert (mesh.volumes > 0).all()
+    angles = dihedral_angles(mesh)
+    assert angles.min() > 10.78 and angles.max() < 164.74, "the bounds proved by Labelle & Shewchuk, table 1"
+    assert mesh.quality.min() > tetrahedra.QUALITY_FLOOR
+
+    surface = trimesh.Trimesh(mesh.points, mesh.boundary(), process=False)
+    assert surface.is_watertight and surface.is_winding_consistent
+    assert surface.volume == pytest.approx(mesh.volumes.sum(), rel=1e-9), "no overlaps and no gaps"
+
+
+def test_volumes() -> None:
+    ball = stuff(shapes()["ball"], 0.08).volumes.sum()
+    assert ball == pytest.approx(4 / 3 * np.pi * 0.83**3, rel=0.01)
+    assert stuff(shapes()["block"], 0.08).volumes.sum() == pytest.approx(1.9 * 1.1 * 0.7, rel=0.02)
+
+
+def test_loose_parts_are_left_out() -> None:
+    ticks = axis(49)
+    x, y, z = np.meshgrid(ticks, ticks, ticks, indexing="ij")
+    two = np.minimum(np.sqrt((x + 0.4) ** 2 + y**2 + z**2) - 0.45, np.sqrt((x - 0.6) ** 2 + y**2 + z**2) - 0.2)
+    mesh, rest = largest_body(stuff(two, 0.1))
+    assert len(rest) == 1 and rest[0] == pytest.approx(4 / 3 * np.pi * 0.2**3, rel=0.1)
+    assert mesh.points[:, 0].max() < 0.2
+
+
+def test_parts_that_share_an_edge_only_are_separate() -> None:
+    points = np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0], [0, 1, 0], [-2, 0, 0], [0, -2, 0]], dtype=float)
+    cells = np.array([[0, 2, 3, 1], [0, 4, 5, 1]])
+    mesh, rest = largest_body(TetMesh(points, cells))
+    assert len(mesh.cells) == 1 and rest == pytest.approx([1 / 6])
+
+
+def test_refusals(tmp_path: Path) -> None:
+    phi = shapes()["ball"]
+    with pytest.raises(SolidError, match="not numbers"):
+        stuff(np.where(phi > 0.5, np.nan, phi), 0.1)
+    with pytest.raises(SolidError, match="nothing is inside"):
+        stuff(abs(phi) + 0.1, 0.1)
+    (tmp_path / "broken.vtu").write_text("<VTKFile>")
+    with pytest.raises(SolidError, match="cannot read"):
+        tetrahedra.read(tmp_path / "broken.vtu")
+
+
+def test_reading_a_volume_mesh(tmp_path: Path) -> None:
+    import meshio
+
+    mesh = stuff(shapes()["torus"], 0.15)
+    flipped = mesh.cells.copy()
+    flipped[::2] = flipped[::2][:, [0, 2, 1, 3]]
+    meshio.Mesh(mesh.points, [("tetra", flipped)]).write(tmp_path / "torus.vtu")
+    again = tetrahedra.read(tmp_path / "torus.vtu")
+    assert (again.volumes > 0).all()
+    assert again.volumes.sum() == pytest.approx(mesh.volumes.sum())
+
+    points = mesh.points.copy()
+    points[mesh.cells[0]] = points[mesh.cells[0, 0]]
+    meshio.Mesh(points, [("tetra", mesh.cells)]).write(tmp_path / "flat.vtu")
+    with pytest.raises(SolidError, match="zero volume"):
+        tetrahedra.read(tmp_path / "flat.vtu")
+    meshio.Mesh(points, [("triangle", mesh.boundary())]).write(tmp_path / "surface.vtu")
+    with pytest.raises(SolidError, match="no linear tetrahedra"):
+        tetrahedra.read(tmp_path / "surface.vtu")
