@@ -85,7 +85,7 @@ for command in {COMMANDS}:
         cli.main([command, "--help"])
     print(command, *sorted({HEAVY} & set(sys.modules)))
 """
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", check=True)
         assert done.stdout.split("\n")[:-1] == list(COMMANDS)
 
     def test_every_setting_is_explained(self, capsys):
@@ -405,6 +405,6 @@ def test_scene_command_prints_a_scene(capsys):
 
 def test_installed_command():
     """`python -m genmf_mi` is the same command."""
-    done = subprocess.run([sys.executable, "-m", "genmf_mi", "refine", "nowhere.glb"], capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-m", "genmf_mi", "refine", "nowhere.glb"], capture_output=True, encoding="utf-8")
     assert done.returncode == 2
     assert done.stderr.startswith("error: ") and len(done.stderr.splitlines()) == 1

@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[1]
 
 
 def run(code: str) -> str:
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", check=True)
     return done.stdout.strip()
 
 
@@ -31,7 +31,7 @@ def test_import_starts_neither_mitsuba_nor_torch(module):
 def test_help_starts_nothing_heavy():
     code = "import sys; from genmf_mi.cli import main; main(['refine', '--help'])"
     code = f"try:\n    {code}\nfinally:\n    print({{'mitsuba', 'torch', 'trimesh'}} & set(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", check=False)
     assert "--max-relief-mm" in done.stdout
     assert done.stdout.rstrip().endswith("set()")
 

@@ -2,8 +2,8 @@
 
 Φ in three layers: every fourth sample, then the difference from their trilinear interpolation in steps of
 :data:`FAR_STEP`, then, within :data:`BAND_CELLS` cells of the surface, what is still missing in steps of
-:data:`NEAR_STEP`. Von Mises is a float16 with 7 of its 10 bits of mantissa (0.4 %, a fifth of what a finer mesh
-changes), differenced along the three axes before it is deflated.
+:data:`NEAR_STEP`. Von Mises is kept in even steps of log(1 + σ/k): half a per cent of σ + k, a third of what a finer
+mesh changes. It is differenced along the three axes before it is deflated.
 """
 
 from __future__ import annotations
@@ -15,8 +15,10 @@ FAR_STEP = 2.0**-6
 """Φ far from the surface is kept to half of this: half a cell of the 129³ grid, 0.4 mm in a part of 100 mm."""
 NEAR_STEP = 2.0**-10
 """Φ near the surface is kept to half of this: 1/32 of a cell, 0.026 mm."""
-BAND_CELLS = 4.0
-_DROPPED_BITS = 3
+BAND_CELLS = 2.5
+STRESS_SCALE_MPA = 0.5
+"""k: below it the steps are even in σ, above it in log σ."""
+STRESS_STEP = 1 / 96
 
 
 def pack_distance(phi: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
@@ -42,8 +44,7 @@ def unpack_distance(layers: dict[str, np.ndarray], n: int) -> np.ndarray:
 def pack_stress(field: np.ndarray, phi: np.ndarray) -> dict[str, np.ndarray]:
     """Von Mises in MPa ``[n,n,n]``, kept where ``phi`` ≤ 0, which must come from :func:`unpack_distance`."""
     inside = phi <= 0
-    bits = np.where(inside, field, 0).astype(np.float16).view(np.uint16)
-    level = ((bits.astype(np.int32) + (1 << (_DROPPED_BITS - 1))) >> _DROPPED_BITS).astype(np.int16)
+    level = np.rint(np.log1p(np.where(inside, field, 0) / STRESS_SCALE_MPA) / STRESS_STEP).astype(np.int16)
     return {"von_mises": np.frombuffer(_planes(_differences(level)[_reach(inside)]), dtype=np.uint8)}
 
 
@@ -52,8 +53,8 @@ def unpack_stress(layers: dict[str, np.ndarray], phi: np.ndarray) -> np.ndarray:
     inside = phi <= 0
     level = np.zeros(phi.shape, dtype=np.int16)
     level[_reach(inside)] = layers["von_mises"].reshape(2, -1).T.copy().view(np.int16)[:, 0]
-    level = _sums(level)
-    return np.where(inside, (level.astype(np.uint16) << _DROPPED_BITS).view(np.float16), np.float16(0))
+    field = STRESS_SCALE_MPA * np.expm1(_sums(level) * np.float32(STRESS_STEP))
+    return np.where(inside, field, 0).astype(np.float16)
 
 
 def _differences(level: np.ndarray) -> np.ndarray:

@@ -25,7 +25,7 @@ from genmf_mi.files import atomic, write_text
 from genmf_mi.stress.fem import Settings
 
 MESHES = (".ply", ".glb", ".gltf", ".obj", ".stl", ".off", ".3mf")
-FORMAT = 1
+FORMAT = 2
 """Raised when samples of an older program would not fit those of a newer one."""
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
