@@ -15,6 +15,8 @@ BEND = 1.0
 """Share of the radius of curvature that relief may use up."""
 SIDEWAYS = 0.5
 """Share of the shortest edge at a vertex that it may move across its normal."""
+SLIM = 0.05
+"""Share of its width that relief may take from a limb: more would show in the outline, which the gradient is blind to."""
 BASE_BAND = 0.005
 """Faces within this share of the height from the lowest point, looking down, are the base."""
 
@@ -37,8 +39,11 @@ def room(
     inward = np.minimum(cap, BEND / np.maximum(converge_in, 1e-9))
     outward = np.minimum(cap, BEND / np.maximum(converge_out, 1e-9))
     # Each of two opposite walls may use less than half of what lies between them
-    inward = np.minimum(inward, 0.45 * np.maximum(gap(vertices, -normals) - wall, 0))
+    through = gap(vertices, -normals)
+    inward = np.minimum(inward, 0.45 * np.maximum(through - wall, 0))
     outward = np.minimum(outward, 0.3 * gap(vertices, normals))
+    slim = SLIM * limb_width(vertices, normals, through, gap)
+    inward, outward = np.minimum(inward, slim), np.minimum(outward, slim)
     inward, outward = (_spread_minimum(x, faces) for x in (inward, outward))
     pinned = base(vertices, faces)
     inward[pinned] = outward[pinned] = 0
@@ -59,6 +64,30 @@ def bends(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> tuple
         np.maximum.at(convex, end, curvature)
         np.maximum.at(hollow, end, -curvature)
     return convex, hollow
+
+
+def limb_width(
+    vertices: np.ndarray,
+    normals: np.ndarray,
+    through: np.ndarray,
+    gap: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    directions: int = 4,
+) -> np.ndarray:
+    """How wide the body is behind each vertex, ``[V]``: the shortest way right through it, parallel to the surface.
+
+    Measured half-way to the opposite wall, ``through [V]`` away, along ``directions`` lines. A leg or a handle is as
+    wide as it is thick; a plate or the wall of a cup is thin but wide.
+    """
+    middle = vertices - 0.5 * np.where(np.isfinite(through), through, 0.0)[:, None] * normals
+    helper = np.eye(3)[np.abs(normals).argmin(axis=1)]
+    across = np.cross(normals, helper)
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-20)
+    other = np.cross(normals, across)
+    width = np.full(len(vertices), np.inf)
+    for angle in np.arange(directions) * np.pi / directions:
+        along = np.cos(angle) * across + np.sin(angle) * other
+        width = np.minimum(width, gap(middle, along) + gap(middle, -along))
+    return width
 
 
 def base(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
