@@ -12,7 +12,7 @@ from scipy.sparse.linalg import spsolve
 from genmf_mi import meshlab
 from genmf_mi.geometry.broad import broad_part, broad_smoother
 from genmf_mi.geometry.mesh import Relief, Smoother, UniformAdam, laplacian
-from genmf_mi.geometry.room import BEND, SIDEWAYS, base, bends, room
+from genmf_mi.geometry.room import BEND, SIDEWAYS, SLIM, base, bends, limb_width, room
 from genmf_mi.geometry.untangle import untangle
 
 
@@ -228,6 +228,19 @@ def block(width: float, height: float, depth: float) -> tuple[np.ndarray, np.nda
     return np.array(mesh.vertices), np.asarray(mesh.faces), np.array(mesh.vertex_normals)
 
 
+def box_exit(half):
+    """The distance from points in a box of the half extents ``half [3]`` to its walls, along directions."""
+
+    def gap(points, directions):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            walls = (np.sign(directions) * half - points) / directions
+        walls[np.abs(directions) < 1e-9] = np.inf
+        leaves = walls.min(axis=1)
+        return np.where(leaves > 1e-9, leaves, np.inf)
+
+    return gap
+
+
 class TestRoom:
     def test_sphere(self):
         """Inwards it converges at the centre, outwards it opens; the cap counts where it is smaller."""
@@ -270,8 +283,31 @@ class TestRoom:
     def test_narrow_gap(self):
         """Both sides of a slot may grow towards each other, and must not meet."""
         vertices, faces, normals = sphere(3)
-        _, outward, _ = room(vertices, faces, normals, 0.5, 0.0, lambda points, _: np.full(len(points), 0.1))
+
+        def gap(points, directions):
+            """A tenth ahead, far elsewhere: the body is bulky."""
+            return np.where(np.einsum("nk,nk->n", points, directions) > 0.99, 0.1, 5.0)
+
+        _, outward, _ = room(vertices, faces, normals, 0.5, 0.0, gap)
         assert (outward > 0.02).all() and (2 * outward < 0.1).all()
+
+    @pytest.mark.parametrize(("size", "width"), [((1.0, 0.2, 0.2), 0.2), ((0.3, 2.0, 0.2), 0.3), ((1.0, 0.2, 0.8), 0.8)])
+    def test_limb_width(self, size, width):
+        """A rod is as wide as it is thick; a plate is as wide as its shorter side, however thin it is."""
+        vertices, faces, normals = block(*size)
+        gap = box_exit(np.array(size) / 2)
+        thin = np.argmin(size)
+        central = np.delete(np.abs(vertices) / size, thin, axis=1).max(axis=1) < 0.1  # corners are narrower
+        through = gap(vertices, -normals)
+        found = limb_width(vertices, normals, through, gap)[central & (np.abs(normals[:, thin]) > 0.999)]
+        # Four directions: at worst the shortest way across is missed by an eighth of a turn
+        assert (found >= width * (1 - 1e-6)).all() and (found <= width * 1.09).all()
+
+    def test_limbs_keep_their_outline(self):
+        vertices, faces, normals = block(0.2, 2.0, 0.2)
+        inward, outward, _ = room(vertices, faces, normals, 0.1, 0.0, box_exit(np.array([0.1, 1.0, 0.1])))
+        side = np.abs(vertices[:, 1]) < 0.5
+        assert max(inward[side].max(), outward[side].max()) <= SLIM * 0.2 * 1.09
 
     def test_a_tight_spot_limits_its_surroundings(self):
         vertices, faces, normals = sphere(3)
