@@ -291,10 +291,12 @@ class TestRoom:
         _, outward, _ = room(vertices, faces, normals, 0.5, 0.0, gap)
         assert (outward > 0.02).all() and (2 * outward < 0.1).all()
 
-    @pytest.mark.parametrize(("size", "width"), [((1.0, 0.2, 0.2), 0.2), ((0.3, 2.0, 0.2), 0.3), ((1.0, 0.2, 0.8), 0.8)])
+    @pytest.mark.parametrize(
+        ("size", "width"), [((1.0, 0.2, 0.2), 0.2), ((0.3, 2.0, 0.2), 0.3), ((1.0, 0.2, 0.8), 0.8)]
+    )
     def test_limb_width(self, size, width):
         """A rod is as wide as it is thick; a plate is as wide as its shorter side, however thin it is."""
-        vertices, faces, normals = block(*size)
+        vertices, _, normals = block(*size)
         gap = box_exit(np.array(size) / 2)
         thin = np.argmin(size)
         central = np.delete(np.abs(vertices) / size, thin, axis=1).max(axis=1) < 0.1  # corners are narrower

@@ -16,7 +16,7 @@ BEND = 1.0
 SIDEWAYS = 0.5
 """Share of the shortest edge at a vertex that it may move across its normal."""
 SLIM = 0.05
-"""Share of its width that relief may take from a limb: more would show in the outline, which the gradient is blind to."""
+"""Share of its width that relief may take from a limb: more shows in the outline, which the gradient does not see."""
 BASE_BAND = 0.005
 """Faces within this share of the height from the lowest point, looking down, are the base."""
 
