@@ -95,10 +95,8 @@ def _write_3mf(path: Path, vertices: np.ndarray, faces: np.ndarray, title: str) 
         [lib3mf.Triangle((a, b, c)) for a, b, c in faces.tolist()],
     )
     model.AddBuildItem(mesh, lib3mf.get_wrapper().GetIdentityTransform())
-    try:
-        model.QueryWriter("3mf").WriteToFile(str(path))
-    except lib3mf.ELib3MFException as error:
-        raise OSError(f"lib3mf: {error}") from error  # a full disk, as the other writers report it
+    # WriteToFile aborts the process when the disk is full
+    path.write_bytes(bytes(model.QueryWriter("3mf").WriteToBuffer()))
 
 
 def _write_stl(path: Path, vertices: np.ndarray, faces: np.ndarray, title: str) -> None:
