@@ -102,7 +102,7 @@ def conclude(
 def write_pictures(
     job: _Job, folder: Path, shapes: dict[str, Tensor], relief_mm: np.ndarray, metrics: dict, save_exr: bool
 ) -> None:
-    """``before_after.png``, ``report.html`` and, on request, the buffers of every standard view as OpenEXR."""
+    """``before_after.png``, ``report.html`` and, on request, the buffers of every shape and view as OpenEXR."""
     from genmf_mi.report import Report, View, write_before_after, write_report
 
     piece, judge = job.piece, job.judge
@@ -143,6 +143,7 @@ def write_pictures(
             relief_mm=relief_mm,
             cap_mm=job.config.max_relief_mm,
             size_mm=job.config.size_mm,
+            material=judge.scene.material,
             steps=piece.report,
             original=piece.vertices,
         ),
@@ -150,4 +151,5 @@ def write_pictures(
     if save_exr:
         from genmf_mi.exr import write_buffers
 
-        write_buffers(folder / "exr", judge.views, shown["after"])
+        for name, buffers in shown.items():
+            write_buffers(folder / "exr" / name, judge.views, buffers)

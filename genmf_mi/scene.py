@@ -83,6 +83,18 @@ class Scene:
     def bsdf(self) -> Any:
         return next(s.bsdf() for s in self.scene.shapes() if s.id() == self.shape_id)
 
+    @property
+    def material(self) -> dict[str, Any]:
+        """The parameters of ``twolight`` in plain Python, by their names in the plugin; the lights before any turn."""
+        bsdf = self.bsdf
+        numbers = {name: getattr(bsdf, name) for name in ("ambient", "key_weight", "fill_weight", "sharpness")}
+        numbers["albedo"] = bsdf.albedo.mean()
+        return {
+            **{name: float(np.ravel(number)[0]) for name, number in numbers.items()},
+            **{key.rpartition(".")[2]: direction.tolist() for key, direction in self.lights.items()},
+            "lights": bsdf.lights,
+        }
+
     def look(self, view: View) -> None:
         """Move the camera to ``view`` and turn the lights."""
         import mitsuba as mi
@@ -137,7 +149,7 @@ def load(
     try:
         scene = mi.load_file(str(xml), **settings)
     except Exception as error:  # Mitsuba reports every defect of a file as RuntimeError
-        raise SceneError(f"Mitsuba cannot load {xml}: {_one_line(error)}") from error
+        raise SceneError(f"Mitsuba cannot load {xml}: {_one_line(error)} Mend it, or {START}") from error
 
     shapes = [s for s in scene.shapes() if type(s.bsdf()).__name__ == "TwoLight"]
     if not shapes:
@@ -157,7 +169,7 @@ def load(
 
     width, height = sensor.film().size()
     if width != height:
-        raise SceneError(f"the image of {xml} must be square, not {width} × {height}.")
+        raise SceneError(f"the image of {xml} must be square, not {width} × {height}: set both to $resolution.")
     params = mi.traverse(scene)
     needed = [f"{sensor.id()}.x_fov", variant.vertex_key(shape.id()), *variant.light_keys(shape.id())]
     if missing := [key for key in needed if key not in params]:
@@ -184,9 +196,9 @@ def read_defaults(xml: Path) -> dict[str, str]:
     try:
         root = ElementTree.parse(xml).getroot()
     except FileNotFoundError as error:
-        raise SceneError(f"there is no scene file {xml}.") from error
+        raise SceneError(f"there is no scene file {xml}. Check the spelling, or {START}") from error
     except (ElementTree.ParseError, OSError, UnicodeDecodeError) as error:
-        raise SceneError(f"{xml} is not readable as XML: {_one_line(error)}") from error
+        raise SceneError(f"{xml} is not readable as XML: {_one_line(error)} Mend it, or {START}") from error
     defaults = {e.get("name", ""): e.get("value", "") for e in root.iter("default")}
     if "mesh" not in defaults:
         raise SceneError(f'{xml} has no <default name="mesh" .../>, so no mesh can be put in: see `genmf-mi scene`.')
@@ -214,7 +226,8 @@ def find(name: str) -> Path:
 
 
 def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
+    """What the error says, as a sentence on one line."""
+    return (" ".join(str(error).split()) or type(error).__name__).rstrip(".") + "."
 
 
 def author(asset: str, mesh: Path | None = None) -> None:

@@ -69,7 +69,8 @@ def solidify(asset: Asset) -> Solid:
     bodies united. Cavities without a way out are filled. Only if that leaves no manifold, the surface is rebuilt from a
     signed-distance field, 256 cells along the longest side.
 
-    ``report`` holds the counts of the input (``*_before``), of the result, and of every step.
+    ``report`` holds the counts of the input (``*_before``, and ``self_intersections_asset``, since a refinement's
+    ``self_intersections_before`` are those of its fine mesh), of the result, and of every step.
 
     Raises:
         SolidError: the asset is a sheet without thickness, or cannot be closed.
@@ -90,7 +91,7 @@ def solidify(asset: Asset) -> Solid:
         "bodies_before": int(topology.bodies(faces).max() + 1),
         "open_edges_before": open_edges,
         "crowded_edges_before": crowded_edges,
-        "self_intersections_before": len(meshlab.self_intersections(vertices, faces)),
+        "self_intersections_asset": len(meshlab.self_intersections(vertices, faces)),
         "volume_before": topology.volume(vertices, faces),
         "faces_turned": turned,
         "holes_capped": 0,

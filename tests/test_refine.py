@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import igl
 import numpy as np
+import OpenEXR
 import pytest
 import torch
 import trimesh
@@ -155,12 +156,29 @@ class TestFiles:
         assert genmf_mi.RefineConfig.from_dict(settings) == replace(CONFIG, score_vgg=True)
 
     def test_exr(self, whole):
-        OpenEXR = pytest.importorskip("OpenEXR")
-        paths = sorted((whole[0].out / "exr").iterdir())
-        assert [path.name for path in paths] == ["view_00.exr", "view_01.exr"]
-        channels = OpenEXR.File(str(paths[0]), separate_channels=True).channels()
-        coverage = channels["A"].pixels
-        assert coverage.shape == (64, 64) and coverage.max() == 1
+        """G, D and N of every shape and view, read back by OpenEXR, are what the formats and the scene allow."""
+        read = {}
+        for shape in ("before", "displacement", "after"):
+            folder = whole[0].out / "exr" / shape
+            assert sorted(os.listdir(folder)) == ["view_00.exr", "view_01.exr"]
+            for path in sorted(folder.iterdir()):
+                channels = OpenEXR.File(str(path), separate_channels=True).channels()
+                image = {name: channel.pixels for name, channel in channels.items()}
+                assert {x.dtype for x in image.values()} == {np.dtype("float32")}
+                inside, outside = image["A"] == 1, image["A"] == 0
+                assert inside.shape == (64, 64) and inside.sum() > 1000 and outside.sum() > 1000
+                assert image["A"].min() >= 0 and image["A"].max() <= 1
+                normal = np.stack([image[f"N.{axis}"] for axis in "XYZ"])
+                length = np.linalg.norm(normal, axis=0)
+                assert length.max() <= 1 + 1e-5 and length[inside].min() > 0.5 and np.median(length[inside]) > 0.98
+                assert image["Y"][inside].min() > 0 and 0.3 < image["Y"].max() <= 0.8 + 1e-5
+                assert 2 < image["Z"][inside].min() < image["Z"][inside].max() < 7  # about a unit ball, 4.3 away
+                assert not any(x[outside].any() for x in image.values())
+                read[shape, path.name] = image
+        before, after = read["before", "view_00.exr"], read["after", "view_00.exr"]
+        assert 0.005 < np.abs(before["Y"] - after["Y"]).mean() < 0.1
+        assert 0 < np.median(np.abs(before["Z"] - after["Z"])[before["A"] == 1]) < 0.02  # 1 mm is 0.019
+        assert np.abs(before["A"] - after["A"]).mean() < 0.02
 
     def test_steps_are_announced(self, whole):
         said = " ".join(whole[1].said)
@@ -207,6 +225,7 @@ class TestMetrics:
         solid = whole[0].metrics["solid"]
         assert solid["watertight"] is True and solid["bodies"] == 1
         assert solid["self_intersections"] <= solid["self_intersections_before"] == 0
+        assert solid["self_intersections_asset"] == 0
         part = trimesh.Trimesh(whole[0].vertices_mm, whole[0].faces, process=False)
         assert solid["volume_mm3"] == pytest.approx(part.volume, rel=1e-6)
         assert part.is_watertight and part.extents.max() == pytest.approx(100, abs=2.1)

@@ -32,6 +32,10 @@ METRICS = {
     "iterations": 40,
 }
 
+MATERIAL = {
+    "albedo": 0.7, "ambient": 0.1, "key": [0.0, 0.0, 1.0], "fill": [1.0, 0.0, 0.0], "key_weight": 0.6,
+    "fill_weight": 0.3, "sharpness": 5.0, "lights": "camera"}  # fmt: skip
+
 
 def sphere(rows: int = 40, columns: int = 60) -> tuple[np.ndarray, np.ndarray]:
     """A closed sphere of radius 0.95 with the poles as single vertices."""
@@ -94,6 +98,7 @@ def report() -> Report:
         relief_mm=relief,
         cap_mm=1.0,
         size_mm=100.0,
+        material=MATERIAL,
         steps={"log": ["welded 12 vertices", "closed 1 hole"], "faces": len(faces)},
     )
 
@@ -423,6 +428,19 @@ def test_embedded_mesh_is_the_mesh(report, with_original):
     assert bool(page.xpath("//input[@name='shape']")) == with_original
 
 
+def test_view_is_lit_as_the_renders_are(report):
+    """The page hands the material over, and the script uses all of it and knows no other."""
+    page = html.document_fromstring(render(report))
+    assert json.loads(page.get_element_by_id("mesh-meta").text)["material"] == MATERIAL
+    script = page.xpath("//script")[-1].text
+    shader = script[script.index("FRAGMENT_SHADER") : script.index("linkProgram")]
+    for name in MATERIAL:
+        assert re.search(rf'material\.{name}\b|"{name}"', script), name
+        assert name == "lights" or re.search(rf"uniform [^;]*\b{name}\b[^;]*;", shader), name
+    shading = shader[shader.index("float softplus") : shader.index("if (surface == 2)")]
+    assert set(re.findall(r"\d+(?:\.\d+)?", shading)) <= {"0.0", "1.0", "1", "3"}
+
+
 def test_view_opens_where_the_relief_is(report):
     # The fixture raises x > 0.3 most
     assert packing.pack(report).meta["azimuth"] == 90
@@ -442,6 +460,7 @@ def test_large_mesh_is_simplified_and_the_page_says_so(report, monkeypatch):
 def test_embedded_mesh_of_realistic_size_stays_small():
     vertices, faces = sphere(250, 320)
     grey = (np.sin(20 * vertices[:, :1]) > 0).repeat(3, axis=1).astype(np.float32)
-    report = Report("x", [], [], {}, {}, vertices * 1.01, faces, grey, grey[:, 0] * 0.5, 1.0, 100.0, original=vertices)
+    report = Report("x", [], [], {}, {}, vertices * 1.01, faces, grey, grey[:, 0] * 0.5, 1.0, 100.0, MATERIAL,
+                    original=vertices)  # fmt: skip
     assert len(faces) == 160_000
     assert len(packing.pack(report).data) < 3e6

@@ -130,6 +130,19 @@ class TestLoaded:
     def test_distance_follows_the_radius(self, ball, loaded):
         assert scene.load(scene.find("default"), ball, radius=1.9).distance == pytest.approx(2 * loaded.distance)
 
+    def test_material(self, ball, tmp_path):
+        """Every parameter of the file, not the plugin's default; a turn of the lights does not show."""
+        text = MATERIAL.replace("0.8", "0.6").replace('"0.2"', '"0.1"').replace('"8"', '"5"').replace("camera", "world")
+        weights = '<float name="key_weight" value="0.5"/><float name="fill_weight" value="0.375"/></bsdf>'
+        path = tmp_path / "my.xml"
+        path.write_text(DEFAULT.replace(MATERIAL, text.replace("</bsdf>", weights)))
+        mine = scene.load(path, ball, radius=0.95)
+        mine.look(View(0, 0, (20.0, 10.0)))
+        assert mine.material == {
+            "albedo": pytest.approx(0.6), "ambient": pytest.approx(0.1), "sharpness": 5, "key_weight": 0.5,
+            "fill_weight": 0.375, "key": pytest.approx([-0.4, 0.5, 1]), "fill": pytest.approx([0.6, 0.1, 0.6]),
+            "lights": "world"}  # fmt: skip
+
     def test_attribute(self, ball, tmp_path):
         mesh = trimesh.load(ball, process=False)
         dark = np.full(len(mesh.vertices), 0.25)

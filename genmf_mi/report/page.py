@@ -86,7 +86,7 @@ def render(report: Report) -> str:
         steps=tables.rows({key: value for key, value in report.steps.items() if not _is_log(value)}),
         step_logs=[(key, value) for key, value in report.steps.items() if _is_log(value)],
         notes=notes(report),
-        mesh={**mesh.meta, "colours": RELIEF_COLOURS, "plastic": PLASTIC},
+        mesh={**mesh.meta, "colours": RELIEF_COLOURS, "plastic": PLASTIC, "material": report.material},
         mesh_data=mesh.data,
         all_faces=len(report.faces),
         gradient=", ".join(RELIEF_COLOURS),

@@ -26,6 +26,9 @@ _WORDS = {
     "lpips": "LPIPS",
     "p99": "99th percentile",
     "max": "largest",
+    "self_intersections_asset": "self-intersections in the file",
+    "self_intersections_before": "self-intersections before refining",
+    "self_intersections": "self-intersections",
 }
 _UNITS = {"mm": "mm", "mm2": "mm²", "mm3": "mm³", "seconds": "s", "s": "s", "deg": "°", "mb": "MB"}
 

@@ -104,25 +104,26 @@
     in vec3 n, c;
     in float r;
     uniform vec3 key, fill;     // towards the lights, in the frame of the camera
+    uniform float albedo, ambient, key_weight, fill_weight, sharpness;  // as in the plugin twolight
     uniform int surface;        // 0 one colour, 1 texture, 2 relief
     uniform vec3 scale[9];      // colours of the relief, sRGB
     uniform vec3 plastic;
     out vec4 pixel;
     vec3 linear(vec3 s) { return mix(s / 12.92, pow((s + 0.055) / 1.055, vec3(2.4)), step(0.04045, s)); }
     vec3 srgb(vec3 l) { return mix(l * 12.92, 1.055 * pow(l, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, l)); }
-    float diffuse(float x) { return log(1.0 + exp(8.0 * x)) / log(1.0 + exp(8.0)); }
+    float softplus(float x) { return max(x, 0.0) + log(1.0 + exp(-abs(x))); }
+    float diffuse(float x) { return softplus(sharpness * x) / softplus(sharpness); }
     void main() {
       vec3 m = normalize(n);
-      float shade = 0.2 + 0.8 * (0.75 * diffuse(dot(m, key)) + 0.25 * diffuse(dot(m, fill)));
-      vec3 albedo = 0.8 * plastic;  // 0.8 is the grey albedo of the renders
-      if (surface == 1) albedo = linear(c);
+      float shade = mix(key_weight * diffuse(dot(m, key)) + fill_weight * diffuse(dot(m, fill)), 1.0, ambient);
+      vec3 colour = albedo * (surface == 1 ? linear(c) : plastic);
       if (surface == 2) {
         float at = (clamp(r, -1.0, 1.0) + 1.0) * 4.0;
         int i = int(min(at, 7.0));
-        albedo = linear(mix(scale[i], scale[i + 1], at - float(i)));
+        colour = linear(mix(scale[i], scale[i + 1], at - float(i)));
         shade = 0.45 + 0.55 * shade;
       }
-      pixel = vec4(srgb(clamp(albedo * shade, 0.0, 1.0)), 1.0);
+      pixel = vec4(srgb(clamp(colour * shade, 0.0, 1.0)), 1.0);
     }`);
   gl.linkProgram(program);
   if (!gl.getProgramParameter(program, gl.LINK_STATUS)) return fail("The graphics driver refused the 3D view.");
@@ -145,6 +146,8 @@
   gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, mesh.indices, gl.STATIC_DRAW);
   gl.enable(gl.DEPTH_TEST);
   const uniform = (name) => gl.getUniformLocation(program, name);
+  const material = mesh.meta.material;
+  for (const name of ["albedo", "ambient", "key_weight", "fill_weight", "sharpness"]) gl.uniform1f(uniform(name), material[name]);
   gl.uniform3fv(uniform("plastic"), mesh.meta.plastic);
   gl.uniform3fv(uniform("scale"), mesh.meta.colours.flatMap((c) => [1, 3, 5].map((i) => parseInt(c.slice(i, i + 2), 16) / 255)));
 
@@ -189,8 +192,10 @@
     gl.uniform1f(uniform("shape"), shape);
     gl.uniform1i(uniform("surface"), surface);
     const turn = (lamp * Math.PI) / 180;
-    for (const [name, [x, y, z]] of [["key", [-0.4, 0.5, 1]], ["fill", [0.8, 0.1, 0.6]]]) {
-      const length = Math.hypot(x, y, z);
+    for (const name of ["key", "fill"]) {
+      const light = material[name], length = Math.hypot(...light);
+      const along = (axis) => light.reduce((sum, l, k) => sum + l * axis[k], 0);
+      const [x, y, z] = material.lights === "world" ? [right, up, towards].map(along) : light;
       gl.uniform3f(uniform(name), (x * Math.cos(turn) + z * Math.sin(turn)) / length, y / length, (z * Math.cos(turn) - x * Math.sin(turn)) / length);
     }
     gl.drawElements(gl.TRIANGLES, mesh.indices.length, gl.UNSIGNED_INT, 0);
