@@ -20,6 +20,9 @@ from genmf_mi.errors import GenmfError
 
 INTERRUPTED = 130
 
+Switch = tyro.conf.FlagCreatePairsOff[bool]
+"""Only ``--name``. A setting has ``--no-name`` too, since presets differ in what is on."""
+
 USAGE = """genmf-mi: turn a textured 3D asset into a one-colour part whose relief shows the texture
 
   genmf-mi refine ASSET       refine a file or a bundled sample; writes to runs/NAME
@@ -65,6 +68,9 @@ def main(arguments: list[str] | None = None) -> int:
     except GenmfError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
+    except OSError as error:  # the machine's fault, wherever it turns up
+        print(f"error: {error}. Check the path, its permissions and the space on the disk.", file=sys.stderr)
+        return GenmfError.exit_code
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return INTERRUPTED
@@ -91,13 +97,13 @@ class Refine:
     """A scene file (see `genmf-mi scene`)."""
     reference: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """image.png@azimuth,elevation to match instead of the texture; may be given several times."""
-    force: bool = False
+    force: Switch = False
     """Replace the run in the folder."""
-    resume: bool = False
+    resume: Switch = False
     """Continue an interrupted run."""
-    save_exr: bool = False
-    """Also write grey, depth, normal and coverage of every view as OpenEXR."""
-    quiet: bool = False
+    save_exr: Switch = False
+    """Also write grey, depth, normal and coverage of every shape and view as OpenEXR."""
+    quiet: Switch = False
     """No progress, only the table."""
     config: RefineConfig = field(default_factory=RefineConfig)
 
@@ -105,11 +111,7 @@ class Refine:
 def _refine(arguments: list[str]) -> int:
     default = Refine(asset=tyro.MISSING, config=_preset(arguments))
     chosen = tyro.cli(
-        Refine,
-        prog="genmf-mi refine",
-        args=arguments,
-        default=default,
-        config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+        Refine, prog="genmf-mi refine", args=arguments, default=default, config=(tyro.conf.OmitArgPrefixes,)
     )
     from genmf_mi.progress import run_refine
 

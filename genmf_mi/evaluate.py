@@ -144,7 +144,7 @@ def evaluate(
 
     import torch
 
-    from genmf_mi import samples, topology, variant
+    from genmf_mi import samples, topology, variant, weights
     from genmf_mi import scene as scenes
     from genmf_mi.asset import Asset, load
     from genmf_mi.config import RefineConfig
@@ -152,6 +152,7 @@ def evaluate(
     from genmf_mi.prepare import prepare
 
     variant.use("auto")
+    weights.require(*networks)
     original, refined = (a if isinstance(a, Asset) else load(samples.resolve(a)) for a in (original, refined))
     xml = Path(scene) if scene else scenes.find(original.name)
     with tempfile.TemporaryDirectory(prefix="genmf-") as folder:

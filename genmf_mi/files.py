@@ -30,9 +30,8 @@ def atomic(path: str | Path) -> Iterator[Path]:
         temporary.chmod(0o644)
         os.replace(temporary, path)
     except OSError as error:
-        raise OutputError(
-            f"cannot write {path}: {error.strerror or error}. Free some space or choose another --out."
-        ) from error
+        reason = str(error.strerror or error).rstrip(".")
+        raise OutputError(f"cannot write {path}: {reason}. Free some space or choose another --out.") from error
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)

@@ -86,6 +86,9 @@ def prepare(
             "Give pictures of it with --reference image.png@azimuth,elevation."
         )
     pictures = tuple(target.read_picture(text) for text in references)
+    # A scene file that cannot be used is refused now, not after minutes of meshing
+    bridge.write_ply(folder / "trial.ply", np.eye(3), np.array([[0, 1, 2]]))
+    scenes.load(xml, folder / "trial.ply", radius=1.0)
     seconds, started = {}, time.perf_counter()
 
     def lap(name: str) -> None:
