@@ -8,9 +8,9 @@ from __future__ import annotations
 import os
 import sys
 
-from benchmarks import assets, memory, rendering
+from benchmarks import assets, flexicubes, memory, rendering
 
-BENCHMARKS = {"rendering": rendering.main, "memory": memory.main, "assets": assets.main}
+BENCHMARKS = {"rendering": rendering.main, "memory": memory.main, "flexicubes": flexicubes.main, "assets": assets.main}
 
 
 def main(names: list[str]) -> int:
