@@ -54,8 +54,8 @@ class FlexiCubes:
     """Extracts surfaces; what depends on the signs alone is kept from one call to the next.
 
     spread: how far α and β can go from one, below 1; InstantMesh has 0.5, TRELLIS 0.99.
-    rows: ``[n³]``, which row of the weights a cube has, -1 for none: few cubes ever meet the surface, and 21 weights for
-        all of 256³ are 1.4 GB. None if every cube has its own.
+    rows: ``[n³]``, which row of the weights a cube has, -1 for none: few cubes ever meet the surface, and 21 weights
+        for all of 256³ are 1.4 GB. None if every cube has its own.
     """
 
     def __init__(self, spread: float = 0.99, rows: Tensor | None = None) -> None:
