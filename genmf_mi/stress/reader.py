@@ -2,24 +2,65 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+import zlib
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 import torch
 from torch.utils.data import Dataset
 
 from genmf_mi.errors import ConfigError
+from genmf_mi.files import atomic
 from genmf_mi.stress import codec
-from genmf_mi.stress.dataset import read_index
+from genmf_mi.stress.dataset import FORMAT, read_index
+from genmf_mi.stress.distance import BAND
+from genmf_mi.stress.layers import REACH_CELLS
 
 SYMMETRIES = 8
 """Quarter turns about the vertical, each with and without a mirror image; the physics cannot tell them apart."""
+DECODING = 1
+"""Raised when decoded samples of an older program would not fit this one."""
 
 
 def turned(field: np.ndarray, symmetry: int) -> np.ndarray:
     """``field [x,y,z]`` under one of the eight symmetries about the y axis; 0 leaves it as it is."""
     field = np.rot90(field, symmetry % 4, axes=(0, 2))
     return np.ascontiguousarray(field[::-1] if symmetry >= 4 else field)
+
+
+def rebuilt(phi: np.ndarray) -> np.ndarray:
+    """Φ as it was before it was stored: away from the surface it is kept in steps of half a cell only.
+
+    Every sample near the surface knows a surface point, x − Φ ∇Φ. The distance to the nearest of these replaces what
+    is stored, inside and as far outside as the network looks. It differs from the true distance by a few hundredths of
+    a cell, so that a network trained on it can be given a true distance.
+
+    Args:
+        phi: ``[n,n,n]`` from :func:`codec.unpack_distance`.
+
+    Returns:
+        float32 ``[n,n,n]``.
+    """
+    from scipy.spatial import cKDTree
+
+    n = phi.shape[0]
+    cell = 2.0 / (n - 1)
+    phi = phi.astype(np.float64)
+    band = np.abs(phi) < BAND * cell
+    gradient = np.stack([g[band] for g in np.gradient(phi, cell)], axis=1)
+    length = np.linalg.norm(gradient, axis=1)
+    # Between two surfaces at one distance the differences say nothing; the samples about tell of both.
+    sure = length > 0.95
+    points = np.argwhere(band)[sure] * cell - 1.0 - (phi[band] / np.maximum(length, 1e-9))[sure, None] * gradient[sure]
+    far = ~band & (phi < (REACH_CELLS + 1) * cell)
+    if len(points) and far.any():
+        tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
+        magnitude, _ = tree.query(np.argwhere(far) * cell - 1.0)
+        phi[far] = np.copysign(magnitude, phi[far])
+    return phi.astype(np.float32)
 
 
 class StressSamples(Dataset):
@@ -30,15 +71,25 @@ class StressSamples(Dataset):
         split: ``train``, ``validation`` or ``test``. Variants of one shape are all in one split.
         augment: take each sample in one of its eight symmetries, at random from torch's generator.
         stride: keep every ``stride``-th sample of the grid, 2 makes 65³ of 129³.
+        cache: a folder for decoded samples (9 MB each at 129³), which are then mapped into memory: unpacking and
+            rebuilding one takes half a second.
 
     Raises:
-        ConfigError: no such split, or no samples in it.
+        ConfigError: no such split, no samples in it, or the samples are of another format.
     """
 
-    def __init__(self, folder: str | Path, split: str = "train", augment: bool = False, stride: int = 1) -> None:
+    def __init__(
+        self,
+        folder: str | Path,
+        split: str = "train",
+        augment: bool = False,
+        stride: int = 1,
+        cache: str | Path | None = None,
+    ) -> None:
         if split not in ("train", "validation", "test"):
             raise ConfigError(f"split must be train, validation or test, not {split!r}.")
         self.folder, self.augment, self.stride = Path(folder), augment, stride
+        self.settings = read_settings(self.folder)
         # Sorted, as several workers finish in no particular order.
         self.records = sorted(
             (r for r in read_index(self.folder) if "error" not in r and r["split"] == split), key=lambda r: r["index"]
@@ -47,16 +98,38 @@ class StressSamples(Dataset):
             raise ConfigError(
                 f"{folder} holds no {split} samples; make some with `genmf-mi stress dataset --out {folder}`."
             )
+        kind = hashlib.sha256(json.dumps([DECODING, self.settings], sort_keys=True).encode()).hexdigest()[:16]
+        self.cache = None if cache is None else Path(cache) / kind
 
     def __len__(self) -> int:
         return len(self.records)
 
     def arrays(self, item: int) -> tuple[np.ndarray, np.ndarray]:
-        """Φ and von Mises as stored, float16 ``[n,n,n]``."""
-        with np.load(self.folder / self.records[item]["file"]) as layers:
-            n = layers["phi_far"].shape[0]
-            phi = codec.unpack_distance(layers, n)
-            return phi, codec.unpack_stress(layers, phi)
+        """Φ, :func:`rebuilt`, and von Mises in MPa, float16 ``[n,n,n]``.
+
+        Raises:
+            OutputError: the cache cannot be written to. ConfigError: the sample's file is missing or damaged.
+        """
+        if self.cache is None:
+            return self._decoded(item)
+        path = self.cache / f"{self.records[item]['index']:06d}.npy"
+        try:
+            both = np.load(path, mmap_mode="r")
+        except (OSError, ValueError, EOFError):
+            with atomic(path) as temporary:
+                np.save(temporary, np.stack(self._decoded(item)))
+            both = np.load(path, mmap_mode="r")
+        return both[0], both[1]
+
+    def _decoded(self, item: int) -> tuple[np.ndarray, np.ndarray]:
+        path = self.folder / self.records[item]["file"]
+        try:
+            with np.load(path) as layers:
+                n = layers["phi_far"].shape[0]
+                phi = codec.unpack_distance(layers, n)
+                return rebuilt(phi).astype(np.float16), codec.unpack_stress(layers, phi)
+        except (OSError, KeyError, ValueError, EOFError, BadZipFile, zlib.error) as error:
+            raise ConfigError(f"{path} cannot be read ({error}); make the data set again or restore it.") from error
 
     def __getitem__(self, item: int) -> tuple[torch.Tensor, torch.Tensor]:
         symmetry = int(torch.randint(SYMMETRIES, ())) if self.augment else 0
@@ -66,3 +139,21 @@ class StressSamples(Dataset):
             for field in self.arrays(item)
         )
         return phi, stress
+
+
+def read_settings(folder: Path) -> dict:
+    """What the samples of a folder share: see :meth:`genmf_mi.stress.dataset.DatasetSettings.record`.
+
+    Raises:
+        ConfigError: no data set there, or one of another format.
+    """
+    path = folder / "settings.json"
+    try:
+        settings = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ConfigError(
+            f"{folder} holds no data set ({path.name} cannot be read); make one with `genmf-mi stress dataset`."
+        ) from error
+    if not isinstance(settings, dict) or settings.get("format") != FORMAT:
+        raise ConfigError(f"{folder} holds samples of another format than this program makes; make them again.")
+    return settings
