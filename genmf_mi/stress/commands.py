@@ -1,14 +1,16 @@
-"""``genmf-mi stress simulate | compare | dataset``. Nothing heavy is imported until one of them runs."""
+"""``genmf-mi stress simulate | compare | dataset | train``. Nothing heavy is imported until one of them runs."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Annotated
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from genmf_mi.stress.protocol import Protocol
+from genmf_mi.stress.train_config import TrainConfig
 
 
 def simulate(
@@ -163,7 +165,43 @@ def dataset(
     print(f"{out}: {tally.finished} samples, {tally.failed} failed; {tally.made} new.")
 
 
-COMMANDS = {"simulate": simulate, "compare": compare, "dataset": dataset}
+def train(
+    data: Path,
+    out: Path,
+    config: Annotated[TrainConfig, arg(name="")] = TrainConfig(),  # noqa: B008  (frozen)
+    cache: Path | None = None,
+    threads: int = 0,
+    resume: bool = False,
+    force: bool = False,
+) -> None:
+    """Train the stress network on a data set; writes weights.safetensors, metrics.json, log.jsonl and curves.png.
+
+    Args:
+        data: Folder of samples, see `genmf-mi stress dataset`.
+        out: Folder of the training.
+        config: How the network is trained.
+        cache: Folder for decoded samples, 9 MB each; DATA-decoded beside DATA if not given.
+        threads: Of the CPU; 0 leaves it to torch.
+        resume: Go on with the training in the folder.
+        force: Replace the training in the folder.
+    """
+    import torch
+
+    from genmf_mi.stress import training
+
+    if threads:
+        torch.set_num_threads(threads)
+    cache = cache or data.with_name(f"{data.name}-decoded")
+    with training_bar(config) as watcher:
+        result = training.train(data, out, config, cache=cache, resume=resume, force=force, watcher=watcher)
+    scores = result["validation"]["all"]
+    print(
+        f"{result['steps_made']} steps; validation: {scores['mae']:.4f} MPa mean error at a mean of "
+        f"{scores['mean']:.3f} MPa, top 5 % IoU {scores['iou']:.3f}; weights in {out / training.WEIGHTS}"
+    )
+
+
+COMMANDS = {"simulate": simulate, "compare": compare, "dataset": dataset, "train": train}
 
 
 def caption(numbers: dict) -> str:
@@ -207,3 +245,28 @@ def _bar() -> Iterator:
     with Progress(*columns, transient=True) as bar:
         task = bar.add_task("starting", total=1.0)
         yield lambda stage, done: bar.update(task, description=stage, completed=done)
+
+
+@contextmanager
+def training_bar(config: TrainConfig) -> Iterator:
+    """A progress bar with loss, last validation and time left; yields a :class:`genmf_mi.stress.training.Watcher`."""
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    from genmf_mi.stress.training import Watcher
+
+    class Bar(Watcher):
+        found = ""
+
+        def step(self, step: int, done: float, loss: float) -> None:
+            bar.update(task, description=f"step {step}  loss {loss:.5f}{self.found}", completed=done)
+
+        def validating(self, item: int, count: int) -> None:
+            bar.update(task, description=f"validating {item} of {count}")
+
+        def validated(self, step: int, line: dict) -> None:
+            self.found = f"  validation {line['mae_mpa']:.4f} MPa, IoU {line['top_iou']:.3f}"
+
+    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(*columns, transient=True) as bar:
+        task = bar.add_task(config.preset, total=1.0)
+        yield Bar()
