@@ -124,7 +124,8 @@ def load(path: str | Path, up: str | None = None) -> Asset:
     path = Path(path)
     suffix = path.suffix.lower()
     if not path.is_file():
-        raise AssetError(f"{path} is not there. Check the spelling, or give the full path.")
+        state = "a folder" if path.is_dir() else "not there"
+        raise AssetError(f"{path} is {state}. Check the spelling, or give the full path of the file.")
     if suffix not in FORMATS:
         raise AssetError(f"{path} is of an unknown kind ({suffix or 'no suffix'}). Use one of {', '.join(FORMATS)}.")
     if path.stat().st_size == 0:
@@ -164,6 +165,8 @@ def _plain(path: Path) -> list[Part]:
         raise AssetError(f"{path} uses {len(names)} textures. Export it as GLB, or bake them into one.")
     if names and not (path.parent / names[0]).is_file():
         raise AssetError(f"{path} uses the texture {names[0]}, which is not beside it. Put it there.")
+    if path.suffix.lower() == ".stl":
+        _require_whole_stl(path)
     mesh = trimesh.load(path, process=False)
     if not isinstance(mesh, trimesh.Trimesh):
         return []
@@ -182,6 +185,15 @@ def _plain(path: Path) -> list[Part]:
         alone = np.arange(3 * len(faces)).reshape(-1, 3)
         return [Part(vertices[faces].reshape(-1, 3), alone, Material(), colours=corners)]
     return [Part(vertices, faces, Material())]
+
+
+def _require_whole_stl(path: Path) -> None:
+    """trimesh takes a truncated binary file for text."""
+    with path.open("rb") as handle:
+        head = handle.read(84)
+    text = head.lstrip().startswith(b"solid")
+    if not text and path.stat().st_size != 84 + 50 * int.from_bytes(head[80:], "little"):
+        raise AssetError(f"{path} is truncated, or not an STL file. Download or export it again.")
 
 
 def _ply_textures(path: Path) -> list[str]:

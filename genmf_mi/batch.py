@@ -28,7 +28,7 @@ def batch(
     Args:
         assets: Files, or names of bundled samples.
         out: Folder for the runs, one subfolder per asset.
-        arguments: More arguments for `genmf-mi refine`, as one string.
+        arguments: More arguments for `genmf-mi refine`, as in --arguments="--size-mm 80 --preset draft".
     """
     from shlex import split
 

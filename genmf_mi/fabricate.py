@@ -102,7 +102,7 @@ def _write_3mf(path: Path, vertices: np.ndarray, faces: np.ndarray, title: str) 
 def _write_stl(path: Path, vertices: np.ndarray, faces: np.ndarray, title: str) -> None:
     from trimesh import Trimesh
 
-    Trimesh(vertices, faces, process=False, metadata={"name": title}).export(path, file_type="stl")
+    path.write_bytes(Trimesh(vertices, faces, process=False, metadata={"name": title}).export(file_type="stl"))
 
 
 def _write_glb(path: Path, vertices: np.ndarray, faces: np.ndarray, rgb: np.ndarray | None, title: str) -> None:

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import os
+import resource
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 # Before NumPy and torch are imported: many threads on small arrays only cost time, and sums depend on their number.
@@ -19,6 +23,32 @@ def assets() -> Path:
     if not folder:
         pytest.skip("GENMF_TEST_ASSETS is not set; it names a folder of textured meshes")
     return Path(folder)
+
+
+@pytest.fixture
+def workplace(tmp_path, monkeypatch) -> Path:
+    """An empty working folder of the test's own, with an empty folder for temporary files beside it."""
+    for name in ("work", "scratch"):
+        (tmp_path / name).mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "scratch"))
+    return tmp_path / "work"
+
+
+@pytest.fixture(scope="session")
+def full_disk() -> Callable[[], AbstractContextManager]:
+    """A context in which no file can grow beyond 1 kB, which fails like a full disk in any library."""
+
+    @contextmanager
+    def limited() -> Iterator[None]:
+        before = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+    return limited
 
 
 @pytest.fixture(scope="module")

@@ -112,7 +112,7 @@ def test_bad_files_are_refused_by_name(tmp_path, name, content, message):
 
 def test_a_folder_is_not_a_file(tmp_path):
     (tmp_path / "a.glb").mkdir()
-    with pytest.raises(AssetError, match="is not there"):
+    with pytest.raises(AssetError, match="is a folder"):
         asset.load(tmp_path / "a.glb")
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import resource
-
 import numpy as np
 import pytest
 import torch
@@ -225,18 +223,12 @@ def test_written_mesh_reads_back(tmp_path):
     np.testing.assert_allclose(np.column_stack([data[k] for k in ("nx", "ny", "nz")]), -normals, atol=1e-6)
 
 
-def test_mesh_that_cannot_be_written(tmp_path):
-    """A limit on the size of files fails like a full disk."""
+def test_mesh_that_cannot_be_written(tmp_path, full_disk):
     variant.use("cpu")
     with pytest.raises(OutputError, match="nowhere"):
         bridge.write_ply(tmp_path / "nowhere" / "a.ply", *seamless())
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
-    try:
-        with pytest.raises(OutputError, match=r"File too large.*TMPDIR"):
-            bridge.write_ply(tmp_path / "a.ply", *seamless())
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    with full_disk(), pytest.raises(OutputError, match=r"File too large.*TMPDIR"):
+        bridge.write_ply(tmp_path / "a.ply", *seamless())
 
 
 def test_no_geometry_buffers_with_silhouettes(shape, tmp_path):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import resource
 
 import numpy as np
 import pytest
@@ -62,13 +61,8 @@ def test_where_nothing_can_be_written(tmp_path, buffers):
         write_buffers(tmp_path / "file", VIEWS, buffers)
 
 
-def test_disk_full(tmp_path, buffers):
-    """A limit on the size of files fails like a full disk, in any library. No half file stays."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, before[1]))
-    try:
-        with pytest.raises(OutputError, match="cannot write"):
-            write_buffers(tmp_path, VIEWS, buffers)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+def test_disk_full(tmp_path, buffers, full_disk):
+    """No half file stays."""
+    with full_disk(), pytest.raises(OutputError, match="cannot write"):
+        write_buffers(tmp_path, VIEWS, buffers)
     assert os.listdir(tmp_path) == []

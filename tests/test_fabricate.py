@@ -138,19 +138,21 @@ def test_a_file_that_reads_back_differently_is_not_left_behind(tmp_path, part, m
     assert not list(tmp_path.glob(".*"))
 
 
-def test_a_full_disk_leaves_the_old_file(tmp_path, part, monkeypatch):
+@pytest.mark.parametrize("name", ["_write_3mf", "_write_stl", "_write_glb"])
+def test_a_full_disk_leaves_the_old_file(tmp_path, part, monkeypatch, full_disk, name):
     _write(tmp_path, part)
-    before = (tmp_path / "refined.stl").read_bytes()
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    honest = getattr(fabricate, name)
 
-    def full(path, *rest):
-        path.write_bytes(b"half")
-        raise OSError(28, "No space left on device")
+    def full(*arguments):
+        with full_disk():
+            honest(*arguments)
 
-    monkeypatch.setattr(fabricate, "_write_stl", full)
-    with pytest.raises(OutputError, match="No space left on device"):
+    monkeypatch.setattr(fabricate, name, full)
+    with pytest.raises(OutputError, match=rf"refined\.{name[-3:]}: File too large"):
         _write(tmp_path, part)
-    assert (tmp_path / "refined.stl").read_bytes() == before
-    assert not list(tmp_path.glob(".*"))
+    after = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert set(after) == set(before) and after[f"refined.{name[-3:]}"] == before[f"refined.{name[-3:]}"]
 
 
 def test_a_folder_that_cannot_be_made(tmp_path, part):

@@ -1,0 +1,236 @@
+"""What is wrong with the input or the machine ends in exit code 2 and one line that says what, and what to do."""
+
+from __future__ import annotations
+
+import os
+import re
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gltf_writer import Gltf, textured_quad
+from PIL import Image
+from toys import egg, painted
+
+from genmf_mi import cli, displacement, evaluate, fabricate, prepare, scene, solid, target, variant, weights
+from genmf_mi.losses import perceptual
+
+pytestmark = pytest.mark.usefixtures("workplace", "lpips_weights")
+
+DEFAULT = scene.find("default").read_text(encoding="utf-8")
+BSDF = re.search(r"<bsdf.*</bsdf>", DEFAULT, re.DOTALL).group()
+
+
+def file(name: str, content: bytes = b"") -> str:
+    Path(name).write_bytes(content)
+    return name
+
+
+def truncated(name: str) -> str:
+    data = Path(painted(f"whole{Path(name).suffix}")).read_bytes()
+    return file(name, data[: len(data) // 2])
+
+
+def plain(name: str) -> str:
+    egg().export(name)
+    return name
+
+
+def not_a_number() -> str:
+    mesh = egg()
+    mesh.vertices[10, 1] = np.nan
+    mesh.visual.vertex_colors = np.random.default_rng(0).integers(0, 255, (len(mesh.vertices), 4))
+    mesh.export("nan.ply")
+    return "nan.ply"
+
+
+def plane() -> str:
+    checks = np.repeat((np.indices((8, 8)).sum(0) % 2 * 255).astype(np.uint8)[..., None], 3, axis=2)
+    return str(textured_quad(Path("plane.glb"), checks, np.array([[0, 0], [1, 0], [1, 1], [0, 1]])))
+
+
+def without_texture_file() -> str:
+    file("toy.mtl", b"newmtl paint\nmap_Kd paint.png\n")
+    vertices = [f"v {x} {y} {z}" for x, y, z in egg().vertices]
+    faces = [f"f {a}/1 {b}/1 {c}/1" for a, b, c in egg().faces + 1]
+    return file("toy.obj", "\n".join(["mtllib toy.mtl", "usemtl paint", *vertices, "vt 0 0", *faces]).encode())
+
+
+def toy(*arguments: str) -> list[str]:
+    return [painted("toy.ply"), *arguments]
+
+
+def scene_file(old: str, new: str) -> list[str]:
+    assert old in DEFAULT
+    return toy("--scene", file("my.xml", DEFAULT.replace(old, new).encode()))
+
+
+def picture() -> str:
+    Image.new("RGB", (40, 40), "white").save("white.png")
+    return "white.png@0,20"
+
+
+# What is wrong: the arguments; what the message must name; what it must advise
+BAD = {
+    "missing file": (lambda: ["nowhere.glb"], r"no file nowhere\.glb", "bundled samples are strawberry"),
+    "missing folder": (lambda: ["no/where.obj"], r"no/where\.obj", "bundled samples"),
+    "a folder": (lambda: ["."], r"\. is a folder", "Check the spelling"),
+    "a name without end": (lambda: ["a" * 300 + ".glb"], "File name too long", "Check the path"),
+    "empty file": (lambda: [file("empty.glb")], r"empty\.glb is empty", "export it again"),
+    "truncated GLB": (lambda: [truncated("cut.glb")], r"cut\.glb is truncated", "export it again"),
+    "truncated PLY": (lambda: [truncated("cut.ply")], r"cut\.ply cannot be read as PLY", "export it again"),
+    "truncated STL": (lambda: [truncated("cut.stl")], r"cut\.stl is truncated", "export it again"),
+    "not a 3MF": (lambda: [file("text.3mf", b"solid nonsense")], r"text\.3mf cannot be read as 3MF", "export it again"),
+    "not a GLB": (lambda: [file("text.glb", b"nonsense" * 9)], r"text\.glb is not glTF", "the download is complete"),
+    "GLB without a mesh": (lambda: [str(Gltf().glb(Path("no.glb")))], r"no\.glb holds no triangles", "Export the mesh"),
+    "NaN vertices": (lambda: [not_a_number()], r"nan\.ply has vertices that are not numbers", "Repair or export"),
+    "plane": (lambda: [plane()], "plane .*sheet without thickness", "Solidify modifier"),
+    "texture missing": (lambda: [without_texture_file()], r"toy\.obj uses the texture paint\.png, which is not", "Put"),
+    "unknown format": (lambda: [file("toy.fbx", b"Kaydara")], r"toy\.fbx is of an unknown kind", r"Use one of \.glb"),
+    "no suffix": (lambda: [file("toy", b"x")], r"unknown kind \(no suffix", r"Use one of \.glb"),
+    "no texture": (lambda: [plain("plain.glb")], "plain has no texture", "--reference image.png@azimuth,elevation"),
+    "reference without angles": (lambda: toy("--reference", "a.png"), r"'a\.png'", r"image\.png@azimuth,elevation in"),
+    "reference missing": (lambda: toy("--reference", "a.png@0,0"), r"reference image a\.png", "No such file"),
+    "reference of nothing": (lambda: toy("--reference", picture()), r"white\.png is empty", "everything in it is"),
+    "no such scene": (lambda: toy("--scene", "my.xml"), r"no scene file my\.xml", "genmf-mi scene"),
+    "unreadable XML": (lambda: scene_file("</scene>", ""), r"my\.xml is not readable as XML.*line \d+", "Mend it"),
+    "XML with an unknown plugin": (lambda: scene_file('"multijitter"', '"magic"'), r"my\.xml.*magic", "Mend it"),
+    "XML without twolight": (lambda: scene_file(BSDF, '<bsdf type="diffuse"/>'), r"my\.xml.*`twolight`", "genmf-mi"),
+    "XML without views": (lambda: scene_file('name="views"', 'name="sights"'), r"my\.xml names no views", "add"),
+    "size zero": (lambda: toy("--size-mm", "0"), "size-mm", "must be positive, not 0"),
+    "size negative": (lambda: toy("--size-mm", "-5"), "size-mm", "must be positive, not -5"),
+    "size not a number": (lambda: toy("--size-mm", "nan"), "size-mm", "must be a finite number, not nan"),
+    "cap negative": (lambda: toy("--max-relief-mm", "-0.1"), "max-relief-mm", r"cannot be negative \(-0\.1"),
+    "cap too large": (lambda: toy("--max-relief-mm", "30"), "max-relief-mm 30", "lower it"),
+    "weight negative": (lambda: toy("--polarity", "-1"), "polarity cannot be -1", "0 leaves the term out"),
+    "too few faces": (lambda: toy("--max-faces", "12"), "max-faces", "at least 1000, not 12"),
+    "output is a file": (lambda: toy("--out", file("results")), "results", "choose another --out"),
+    "output below a file": (lambda: toy("--out", file("results") + "/toy"), "results/toy", "[Cc]hoose another --out"),
+    "output below /proc": (lambda: toy("--out", "/proc/toy"), "/proc/toy", "choose another --out"),
+    "nothing to resume": (lambda: toy("--resume"), "runs/toy holds no interrupted run", "Start one without --resume"),
+}  # fmt: skip
+
+
+def said(capsys) -> str:
+    """The error that was printed: one line, alone on standard error."""
+    captured = capsys.readouterr()
+    assert "Traceback" not in captured.out + captured.err
+    (line,) = captured.err.strip().splitlines()
+    assert line.startswith("error: ") and line.endswith(".")
+    assert 20 < len(line) < 420
+    return line
+
+
+def files_here() -> set[str]:
+    """All files in the working folder and the folder for temporary files."""
+    folders = Path("."), Path(tempfile.gettempdir())
+    return {str(path) for folder in folders for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_is_one_line_and_exit_code_2(name, capsys, monkeypatch):
+    """Refused before the long work, and without a trace but the settings."""
+    make, named, advised = BAD[name]
+    arguments, before = make(), files_here()
+    monkeypatch.setattr(solid, "remesh", lambda *_: pytest.fail("this should have been refused before"))
+    assert cli.main(["refine", *arguments]) == 2
+    line = said(capsys)
+    assert re.search(named, line) and re.search(advised, line), line
+    assert files_here() - before <= {f"runs/{Path(arguments[0]).stem}/config.yaml"}
+
+
+def test_can_be_mended_and_tried_again(capsys, monkeypatch):
+    """The failed attempt does not stand in the way of the next."""
+    assert cli.main(["refine", *toy("--scene", "my.xml", "--quiet")]) == 2
+    assert "my.xml" in said(capsys)
+    monkeypatch.setattr(prepare, "prepare", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
+    assert cli.main(["refine", "toy.ply"]) == cli.INTERRUPTED
+    assert capsys.readouterr().err.splitlines()[-1] == "interrupted"
+
+
+class TestMachine:
+    @pytest.mark.parametrize(("found", "message"), [((15, 0, 7), r"LLVM 15\.0\.7"), (None, "no LLVM library")])
+    def test_llvm_too_old(self, found, message, capsys, monkeypatch):
+        monkeypatch.setattr(variant, "llvm_version", lambda: found)
+        assert cli.main(["refine", *toy("--device", "cpu")]) == 2
+        line = said(capsys)
+        assert re.search(message, line) and "apt-get install libllvm" in line
+        assert not Path("runs").exists()
+
+    @pytest.mark.parametrize("arguments", [["refine", "toy.ply"], ["evaluate", "toy.ply", "toy.ply"]])
+    def test_no_lpips_weights(self, arguments, capsys, monkeypatch):
+        toy()
+        monkeypatch.setenv("GENMF_LPIPS_WEIGHTS", "no weights")
+        monkeypatch.setattr(weights, "missing", lambda: [n for n in weights.NETWORKS if not weights._file(n).is_file()])
+        monkeypatch.setattr(prepare, "prepare", lambda *_, **__: pytest.fail("this should have been refused before"))
+        assert cli.main(arguments) == 2
+        line = said(capsys)
+        assert "are not in no weights" in line and "Run `genmf-mi weights`" in line
+        perceptual._network.cache_clear()
+
+    def test_no_gpu(self, capsys):
+        if variant.cuda_available():
+            pytest.skip("there is one")
+        assert cli.main(["refine", *toy("--device", "cuda")]) == 2
+        assert "--device cpu" in said(capsys)
+
+    def test_no_room_for_temporary_files(self, capsys, monkeypatch, full_disk):
+        def full(*arguments, written=prepare.bridge.write_ply, **options):
+            with full_disk():
+                return written(*arguments, **options)
+
+        monkeypatch.setattr(prepare.bridge, "write_ply", full)
+        assert cli.main(["refine", *toy("--max-faces", "3000", "--edge-mm", "4")]) == 2
+        assert re.search(r"\.ply: File too large\. Free some space, or point TMPDIR elsewhere", said(capsys))
+        assert os.listdir(tempfile.gettempdir()) == []
+
+
+class TestOtherCommands:
+    @pytest.mark.parametrize(
+        ("arguments", "message"),
+        [(["evaluate", "toy.ply", "nowhere.stl"], r"nowhere\.stl.*bundled samples"),
+         (["evaluate", "nowhere.glb", "toy.ply"], r"nowhere\.glb.*bundled samples"),
+         (["evaluate", "plain.glb", "toy.ply"], "plain has no texture"),
+         (["evaluate", "toy.ply", "toy.ply", "--size-mm", "0"], "size-mm.*positive"),
+         (["evaluate", "toy.ply", "toy.ply", "--scene", "my.xml"], r"no scene file my\.xml"),
+         (["scene", "nowhere.glb"], r"nowhere\.glb.*bundled samples"),
+         (["weights", "--from", "nowhere"], "nowhere does not exist.*genmf-mi weights"),
+         (["weights", "--from", "toy.ply"], "toy.ply holds no LPIPS weights.*genmf-mi weights"),
+         (["batch"], "name at least one asset"),
+         (["batch", "a/toy.ply", "b/toy.ply"], "same file name.*Rename one")],
+    )  # fmt: skip
+    def test_says_what_is_wrong(self, arguments, message, capsys):
+        toy()
+        plain("plain.glb")
+        assert cli.main(arguments) == 2
+        assert re.search(message, said(capsys))
+
+
+def test_disk_full_while_writing(capsys, monkeypatch, two_views, full_disk):
+    """While the 3MF is written. Nothing is lost: no temporary file stays, and the run can be finished."""
+    for module, name, value in ((evaluate, "RESOLUTION", 64), (evaluate, "SAMPLES", 4), (target, "FINEST", 12_000),
+                                (displacement, "AMPLITUDES", (0.5,))):  # fmt: skip
+        monkeypatch.setattr(module, name, value)
+
+    def full(*arguments, written=fabricate._write_3mf):
+        with full_disk():
+            written(*arguments)
+
+    small = ["--iterations", "3", "--resolution", "96", "--max-faces", "3000", "--edge-mm", "4", "--device", "cpu"]
+    arguments = ["refine", *toy(*small, "--no-score-vgg", "--scene", str(two_views), "--quiet")]
+    with monkeypatch.context() as patch:
+        patch.setattr(fabricate, "_write_3mf", full)
+        assert cli.main(arguments) == 2
+    assert re.search(r"runs/toy/refined\.3mf: File too large\. Free some space", said(capsys))
+    assert set(os.listdir("runs/toy")) == {"checkpoint.npz", "metrics.jsonl", "config.yaml"}
+    assert os.listdir(tempfile.gettempdir()) == []
+
+    assert cli.main([*arguments, "--resume"]) == 0
+    assert set(os.listdir("runs/toy")) == {
+        "metrics.jsonl", "config.yaml", "metrics.json", "refined.3mf", "refined.stl", "refined.glb", "report.html",
+        "before_after.png"}  # fmt: skip
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    assert "watertight" in captured.out and "runs/toy/refined.3mf" in captured.out
+    assert re.search(r"before .*\n.*displacement .*\n.*after ", captured.out)
