@@ -264,7 +264,7 @@ def training_bar(config: TrainConfig) -> Iterator:
             bar.update(task, description=f"validating {item} of {count}")
 
         def validated(self, step: int, line: dict) -> None:
-            self.found = f"  validation {line['mae_mpa']:.4f} MPa, IoU {line['top_iou']:.3f}"
+            self.found = f"  validation {line['validation_mae']:.4f} MPa, IoU {line['validation_iou']:.3f}"
 
     columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), TaskProgressColumn(), TimeRemainingColumn())
     with Progress(*columns, transient=True) as bar:

@@ -1,4 +1,4 @@
-"""Where the network runs, and in which precision: the same for training and prediction."""
+"""How the network is run: on which device, in which precision, in which window; in training as in prediction."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from genmf_mi.errors import ConfigError
-from genmf_mi.stress.network import StressNetwork
+from genmf_mi.stress.network import StressNetwork, to_stress, window
 
 
 def device_of(name: str) -> torch.device:
@@ -30,6 +30,21 @@ def bfloat16_on(device: torch.device, precision: str = "auto") -> bool:
 
 
 def log_stress(network: StressNetwork, phi: Tensor, bfloat16: bool) -> Tensor:
-    """log(1 + σ/k), float32 ``[B,1,X,Y,Z]``, for Φ of that shape on the network's device; differentiable."""
+    """log(1 + σ/k) ``[B,1,X,Y,Z]`` for Φ of that shape on the network's device, in the type of Φ; differentiable."""
     with torch.autocast(phi.device.type, torch.bfloat16, enabled=bfloat16):
-        return network(phi).float()
+        return network(phi).to(phi.dtype)
+
+
+def stress(
+    network: StressNetwork, phi: Tensor, bfloat16: bool, box: tuple[slice, slice, slice] | None = None
+) -> Tensor:
+    """Von Mises in MPa ``[1,n,n,n]`` for Φ of that shape; zero outside of the window, differentiable.
+
+    box: the window; :func:`network.window` of Φ if not given. Hold on to one while a shape is being changed, as the
+    field jumps a little where the window does.
+    """
+    place = (slice(None), *(box or window(phi)))
+    field = torch.zeros_like(phi)
+    inner = phi[place][None].to(next(network.parameters()).device)
+    field[place] = to_stress(log_stress(network, inner, bfloat16))[0].clamp_min(0).to(phi.device)
+    return field

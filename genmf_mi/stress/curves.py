@@ -8,7 +8,7 @@ import numpy as np
 
 from genmf_mi.files import atomic
 
-PANELS = (("loss", "validation_loss"), ("mae_mpa",), ("top_iou",), ("rate",))
+PANELS = (("loss", "validation_loss"), ("validation_mae",), ("validation_iou",), ("rate",))
 TITLES = ("masked MSE of log(1 + σ/k)", "validation MAE, MPa", "validation IoU of the top 5 %", "learning rate")
 
 

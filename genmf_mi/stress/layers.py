@@ -73,19 +73,6 @@ def from_blocks(blocks: Tensor, side: int) -> Tensor:
     return blocks.permute(0, 1, 5, 2, 6, 3, 7, 4).reshape(b, c // side**3, x * side, y * side, z * side)
 
 
-class InstanceNorm(nn.Module):
-    """Instance normalisation with scale and shift, in the precision of its input (autocast would take it to float32,
-    which costs more than the convolutions around it)."""
-
-    def __init__(self, channels: int) -> None:
-        super().__init__()
-        self.weight, self.bias = nn.Parameter(torch.ones(channels)), nn.Parameter(torch.zeros(channels))
-
-    def forward(self, x: Tensor) -> Tensor:
-        with torch.autocast(x.device.type, enabled=False):
-            return F.instance_norm(x, weight=self.weight.to(x.dtype), bias=self.bias.to(x.dtype))
-
-
 class Res3DBlock(nn.Module):
     """x ↦ ReLU(F(x) + identity(x)), F being two 3×3×3 convolutions with instance normalisation and a ReLU between.
 
@@ -94,8 +81,14 @@ class Res3DBlock(nn.Module):
 
     def __init__(self, channels: int, out: int) -> None:
         super().__init__()
-        self.first, self.first_norm = nn.Conv3d(channels, out, 3, padding=1, bias=False), InstanceNorm(out)
-        self.second, self.second_norm = nn.Conv3d(out, out, 3, padding=1, bias=False), InstanceNorm(out)
+        self.first, self.first_norm = (
+            nn.Conv3d(channels, out, 3, padding=1, bias=False),
+            nn.InstanceNorm3d(out, affine=True),
+        )
+        self.second, self.second_norm = (
+            nn.Conv3d(out, out, 3, padding=1, bias=False),
+            nn.InstanceNorm3d(out, affine=True),
+        )
         self.identity = nn.Conv3d(channels, out, 1) if channels != out else nn.Identity()
 
     def forward(self, x: Tensor) -> Tensor:

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from genmf_mi.stress.network import to_target
 from genmf_mi.stress.reader import StressSamples
 
 Predict = Callable[[Tensor], Tensor]
@@ -17,18 +18,35 @@ BAND = 0.076
 """Depth of the surface band in normalised units: 4 mm of a part of 100 mm."""
 
 
+def masked_mse(predicted: Tensor, target: Tensor, phi: Tensor, tail: float = 0.0) -> Tensor:
+    """Weighted mean square difference where Φ ≤ 0, a scalar; all fields are of one shape, any.
+
+    A sample counts 1 + ``tail`` where its target is among the highest 5 % inside, else 1.
+    """
+    inside = phi <= 0
+    square, target = (predicted - target)[inside].square(), target[inside]
+    if tail == 0.0:
+        return square.mean()
+    weight = 1.0 + tail * (target >= target.topk(_top(len(target))).values[-1])
+    return (weight * square).sum() / weight.sum()
+
+
 def mean_absolute_error(predicted: Tensor, true: Tensor, phi: Tensor) -> float:
     """In MPa, over the samples with Φ ≤ 0 of fields of one shape."""
     inside = phi <= 0
     return float((predicted[inside] - true[inside]).abs().mean())
 
 
-def top_iou(predicted: Tensor, true: Tensor, phi: Tensor, share: float = TOP) -> float:
-    """Intersection over union of the ``share`` most stressed samples inside, of the one field and of the other."""
+def top_iou(predicted: Tensor, true: Tensor, phi: Tensor) -> float:
+    """Intersection over union of the 5 % of the samples inside that are highest in the one field and in the other."""
     inside = phi <= 0
-    count = max(1, round(share * int(inside.sum())))
+    count = _top(int(inside.sum()))
     ours, theirs = (set(field[inside].topk(count).indices.tolist()) for field in (predicted, true))
     return len(ours & theirs) / len(ours | theirs)
+
+
+def _top(count: int) -> int:
+    return max(1, round(TOP * count))
 
 
 def band_mean(stress: Tensor, phi: Tensor) -> float:
@@ -38,15 +56,17 @@ def band_mean(stress: Tensor, phi: Tensor) -> float:
 
 @torch.no_grad()
 def score(predict: Predict, samples: StressSamples, progress: Callable[[int], None] | None = None) -> list[dict]:
-    """One row per sample: ``index, shape, family, relief`` and ``mae, iou, mean, band, true_band``, stresses in MPa."""
+    """One row per sample: ``index, shape, family, relief``; ``loss``, :func:`masked_mse` of log(1 + σ/k); ``iou``; and
+    ``mae, mean, band, true_band`` in MPa, the last two within 4 mm of the surface."""
     rows = []
     for item, record in enumerate(samples.records):
         phi, true = samples[item]
-        predicted = predict(phi).clamp_min(0)
+        predicted = predict(phi)
         rows.append(
             {
                 **{key: record[key] for key in ("index", "shape", "family")},
                 "relief": record["relief_mm"] is not None,
+                "loss": float(masked_mse(to_target(predicted), to_target(true), phi)),
                 "mae": mean_absolute_error(predicted, true, phi),
                 "iou": top_iou(predicted, true, phi),
                 "mean": float(true[phi <= 0].mean()),
@@ -72,7 +92,7 @@ def summary(rows: list[dict]) -> dict[str, dict]:
 
 
 def _means(rows: list[dict]) -> dict:
-    means = {key: float(np.mean([row[key] for row in rows])) for key in ("mae", "iou", "mean")}
+    means = {key: float(np.mean([row[key] for row in rows])) for key in ("loss", "mae", "iou", "mean")}
     pairs: dict[int, dict[bool, dict]] = {}
     for row in rows:
         pairs.setdefault(row["index"] // 2, {})[row["relief"]] = row

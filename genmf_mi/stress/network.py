@@ -35,8 +35,9 @@ STRESS_SCALE_MPA = 3.0
 """k of the target log(1 + σ/k)."""
 MARGIN = 4
 """Samples of air that :func:`window` leaves about the body: as far as Φ reaches outwards."""
-MULTIPLE = 16
-"""Sides of a window are multiples of this, so that little is lost in the poolings."""
+MULTIPLE, LEAST = 16, 32
+"""Sides of a window are multiples of the one, so that little is lost in the poolings, and at least the other, so that
+something is left."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +62,13 @@ class Architecture:
     def __post_init__(self) -> None:
         if min(self.width, self.side, self.poolings) < 1:
             raise ConfigError(f"width, side and poolings of a network must be at least 1: {self}.")
-        if self.grid // self.side // 2**self.poolings < 1:
+        if self.grid // self.least < 2:
             raise ConfigError(f"a grid of {self.grid} is too small for this network: {self}.")
+
+    @property
+    def least(self) -> int:
+        """Samples that make one of the bottleneck, along an axis."""
+        return self.side * 2**self.poolings
 
     @property
     def channels(self) -> list[int]:
@@ -77,7 +83,7 @@ PRESETS = {"paper": Architecture(56), "compact": Architecture(24, side=2)}
 class StressNetwork(nn.Module):
     """Φ ``[B,1,X,Y,Z]`` in normalised units (negative inside, y up) to log(1 + σ/k) ``[B,1,X,Y,Z]``, k = 3 MPa.
 
-    X, Y, Z may be odd, and as small as side · 2^poolings. The result means something where Φ ≤ 0. Φ is float32;
+    X, Y, Z may be odd; none may be below side · 2^poolings, and one must be twice that. The result means something where Φ ≤ 0. Φ is float32;
     under autocast the result has the lower precision.
     """
 
@@ -93,9 +99,11 @@ class StressNetwork(nn.Module):
 
     def forward(self, phi: Tensor) -> Tensor:
         """Raises :class:`ConfigError` for a field too small to be pooled."""
-        least = self.architecture.side * 2**self.architecture.poolings
-        if phi.dim() != 5 or phi.shape[1] != 1 or min(phi.shape[2:]) < least:
-            raise ConfigError(f"Φ must be [B,1,X,Y,Z] with sides of at least {least}, not {list(phi.shape)}.")
+        least = self.architecture.least
+        if phi.dim() != 5 or phi.shape[1] != 1 or min(phi.shape[2:]) < least or max(phi.shape[2:]) < 2 * least:
+            raise ConfigError(
+                f"Φ must be [B,1,X,Y,Z] with sides of at least {least}, one of {2 * least}, not {list(phi.shape)}."
+            )
         shape = phi.shape[2:]
         rest = [-n % self.architecture.side for n in shape]
         features = self.geometry(F.pad(phi, (0, rest[2], 0, rest[1], 0, rest[0]), mode="replicate"))
@@ -142,7 +150,7 @@ def to_stress(target: Tensor) -> Tensor:
 
 
 def window(phi: Tensor) -> tuple[slice, slice, slice]:
-    """The box about the samples with Φ ≤ 0 of ``phi [...,X,Y,Z]``: a margin all about, sides multiples of 16.
+    """The box about the samples with Φ ≤ 0 of ``phi [...,X,Y,Z]``: a margin all about, sides multiples of 16, from 32.
 
     What is added to make a multiple goes to the far end, so that the base always stands at one height in the window.
     An axis that has no room for that is taken whole.
@@ -159,7 +167,7 @@ def window(phi: Tensor) -> tuple[slice, slice, slice]:
             raise ConfigError("Φ is positive everywhere: there is no body in the grid.")
         low = max(places[0] - MARGIN, 0)
         length = -(-(places[-1] + 1 + MARGIN - low) // MULTIPLE) * MULTIPLE
-        length = min(length, size // MULTIPLE * MULTIPLE)
+        length = min(max(length, LEAST), size // MULTIPLE * MULTIPLE)
         low = min(low, size - length)
         slices.append(slice(low, low + length) if places[-1] < low + length else slice(0, size))
     return tuple(slices)

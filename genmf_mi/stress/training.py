@@ -28,9 +28,9 @@ from torch import Tensor
 from genmf_mi.errors import ConfigError, OutputError
 from genmf_mi.files import atomic, write_text
 from genmf_mi.stress import metrics, weights
-from genmf_mi.stress.compute import bfloat16_on, device_of, log_stress
+from genmf_mi.stress.compute import bfloat16_on, device_of, log_stress, stress
 from genmf_mi.stress.curves import write_curves
-from genmf_mi.stress.network import network, to_stress, to_target, window
+from genmf_mi.stress.network import network, to_target, window
 from genmf_mi.stress.reader import StressSamples
 from genmf_mi.stress.train_config import TrainConfig
 
@@ -55,19 +55,6 @@ class Watcher:
 
     def validated(self, step: int, line: dict) -> None:
         """After each validation."""
-
-
-def masked_mse(predicted: Tensor, target: Tensor, phi: Tensor, tail: float = 0.0) -> Tensor:
-    """Weighted mean square difference where Φ ≤ 0, a scalar; all fields ``[B,1,X,Y,Z]``.
-
-    A sample counts 1 + ``tail`` where its target is among the highest 5 % of the batch, else 1.
-    """
-    inside = phi <= 0
-    square, target = (predicted.float() - target)[inside].square(), target[inside]
-    if tail == 0.0:
-        return square.mean()
-    weight = 1.0 + tail * (target >= target.topk(max(1, round(metrics.TOP * len(target)))).values[-1])
-    return (weight * square).sum() / weight.sum()
 
 
 def train(
@@ -112,6 +99,7 @@ class _Training:
         self.optimiser = torch.optim.AdamW(self.net.parameters(), config.rate, weight_decay=config.weight_decay)
         self.step, self.seconds, self.best, self.since_best = 0, 0.0, math.inf, 0
         self.best_weights: dict[str, Tensor] = {}
+        self.best_scores: dict[str, dict] = {}
         self.log: list[dict] = []
 
     @property
@@ -145,42 +133,33 @@ class _Training:
         self.net.train()
         total = 0.0
         for _ in range(self.config.batch):  # one by one, as no two bodies fill the same box
-            phi, stress = self._fields("train", next(order))
-            loss = masked_mse(log_stress(self.net, phi, self.bfloat16), to_target(stress), phi, self.config.tail)
+            phi, true = self.samples["train"][next(order)]
+            box = (None, slice(None), *window(phi))
+            phi, target = phi[box].to(self.device), to_target(true[box]).to(self.device)
+            loss = metrics.masked_mse(log_stress(self.net, phi, self.bfloat16), target, phi, self.config.tail)
             (loss / self.config.batch).backward()
             total += float(loss.detach())
+        if not math.isfinite(total):
+            raise ConfigError(f"the loss is no number any more at step {self.step}; choose a lower --rate.")
         torch.nn.utils.clip_grad_norm_(self.net.parameters(), CLIP)
         self.optimiser.step()
         self.optimiser.zero_grad()
         return total / self.config.batch, rate
 
-    def _fields(self, split: str, item: int) -> tuple[Tensor, Tensor]:
-        """Φ and von Mises in the window about the body of a sample, ``[1,1,X,Y,Z]``."""
-        phi, stress = self.samples[split][item]
-        box = (None, slice(None), *window(phi))
-        return phi[box].to(self.device), stress[box].to(self.device)
-
-    @torch.no_grad()
     def _validate(self) -> None:
         self.net.eval()
-        rows, count = [], len(self.samples["validation"])
-        for item in range(count):
-            phi, stress = self._fields("validation", item)
-            predicted = log_stress(self.net, phi, self.bfloat16)
-            field = to_stress(predicted).clamp_min(0)
-            rows.append(
-                [
-                    float(masked_mse(predicted, to_target(stress), phi)),
-                    metrics.mean_absolute_error(field, stress, phi),
-                    metrics.top_iou(field, stress, phi),
-                ]
-            )
-            self.watcher.validating(item + 1, count)
-        line = dict(zip(("validation_loss", "mae_mpa", "top_iou"), np.mean(rows, axis=0).tolist()))
+        validation = self.samples["validation"]
+        rows = metrics.score(
+            lambda phi: stress(self.net, phi, self.bfloat16),
+            validation,
+            lambda item: self.watcher.validating(item, len(validation)),
+        )
+        scores = metrics.summary(rows)
+        line = {f"validation_{key}": scores["all"][key] for key in ("loss", "mae", "iou", "relief")}
         self.log.append({"step": self.step, **line})
         self.since_best += 1
         if line["validation_loss"] < self.best:
-            self.best, self.since_best = line["validation_loss"], 0
+            self.best, self.since_best, self.best_scores = line["validation_loss"], 0, scores
             self.best_weights = {name: value.detach().cpu().clone() for name, value in self.net.state_dict().items()}
         self.watcher.validated(self.step, line)
 
@@ -207,32 +186,21 @@ class _Training:
     def finish(self) -> dict:
         """Write the best weights and their scores, and drop the checkpoint."""
         self.net.load_state_dict(self.best_weights)
-        self.net.eval()
-        count = len(self.samples["validation"])
-
-        def predict(phi: Tensor) -> Tensor:
-            box = (slice(None), *window(phi))
-            field = torch.zeros_like(phi)
-            field[box] = to_stress(log_stress(self.net, phi[box][None].to(self.device), self.bfloat16))[0].cpu()
-            return field
-
-        rows = metrics.score(predict, self.samples["validation"], lambda item: self.watcher.validating(item, count))
-        scores = metrics.summary(rows)
         about = {
             **asdict(self.config),
             "steps_made": self.step,
             "seconds": round(self.seconds),
             "samples": {split: len(samples) for split, samples in self.samples.items()},
-            "validation": scores["all"],
+            "validation": self.best_scores,
         }
         digest = weights.save(self.out / WEIGHTS, self.net, self.config.preset, self.simulation, about)
-        result = {"sha256": digest, **about, "validation": scores}
+        result = {"sha256": digest, **about}
         write_text(self.out / METRICS, json.dumps(result, indent=2) + "\n")
         (self.out / CHECKPOINT).unlink(missing_ok=True)
         return result
 
 
-_STATE = ("step", "seconds", "best", "since_best", "best_weights", "log")
+_STATE = ("step", "seconds", "best", "since_best", "best_weights", "best_scores", "log")
 
 
 def _order(count: int, seed: int, start: int) -> Iterator[int]:
