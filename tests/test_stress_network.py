@@ -125,7 +125,7 @@ def test_recalibration_and_global_descriptor() -> None:
     x = torch.rand(2, 16, 3, 4, 5) + 0.1
     scaled = layers.SqueezeExcitation(16)(x) / x
     assert torch.allclose(scaled, scaled[:, :, :1, :1, :1].expand_as(scaled), atol=1e-5)
-    assert 0 < scaled.min() and scaled.max() < 1
+    assert scaled.min() > 0 and scaled.max() < 1
     fused = layers.with_global_descriptor(x)
     assert torch.allclose(fused[1, 7], x[1, 7] + x[1, 7].mean())
 

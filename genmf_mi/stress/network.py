@@ -83,8 +83,8 @@ PRESETS = {"paper": Architecture(56), "compact": Architecture(24, side=2)}
 class StressNetwork(nn.Module):
     """Φ ``[B,1,X,Y,Z]`` in normalised units (negative inside, y up) to log(1 + σ/k) ``[B,1,X,Y,Z]``, k = 3 MPa.
 
-    X, Y, Z may be odd; none may be below side · 2^poolings, and one must be twice that. The result means something where Φ ≤ 0. Φ is float32;
-    under autocast the result has the lower precision.
+    X, Y, Z may be odd; none may be below side · 2^poolings, and one must be twice that. The result means something
+    where Φ ≤ 0. Φ is float32; under autocast the result has the lower precision.
     """
 
     def __init__(self, architecture: Architecture) -> None:
@@ -126,8 +126,7 @@ class StressNetwork(nn.Module):
 
 def _height(phi: Tensor, cell: float) -> Tensor:
     """Height above the lowest sample inside, in the units of Φ, ``[B,1,X,Y,Z]``."""
-    base = (phi <= 0).flatten(3).any(dim=3).any(dim=2).float() if False else (phi <= 0).any(dim=4).any(dim=2).float()
-    base = base.argmax(dim=2)[:, :, None, None, None]
+    base = (phi <= 0).any(dim=4).any(dim=2).float().argmax(dim=2)[:, :, None, None, None]
     rise = torch.arange(phi.shape[3], device=phi.device)[None, None, None, :, None] - base
     return (cell * rise).to(phi.dtype).expand_as(phi)
 
