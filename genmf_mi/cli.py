@@ -6,6 +6,7 @@ Only the standard library and tyro are imported until a command runs, so that ``
 from __future__ import annotations
 
 import gc
+import io
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -41,6 +42,8 @@ Each answers to --help.
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit code. Errors that are not ours end in one line and exit code 2."""
     arguments = sys.argv[1:] if arguments is None else arguments
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # a terminal that lacks a character shows "?"
     if not arguments or arguments[0] in ("-h", "--help"):
         print(USAGE)
         return 0 if arguments else 2

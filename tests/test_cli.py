@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -25,14 +26,11 @@ pytestmark = pytest.mark.usefixtures("workplace")
 
 
 class TestHelp:
-    def test_all_commands_are_listed(self, capsys):
-        assert cli.main(["--help"]) == 0
+    @pytest.mark.parametrize(("arguments", "code"), [(["--help"], 0), ([], 2)])
+    def test_all_commands_are_listed(self, arguments, code, capsys):
+        assert cli.main(arguments) == code
         text = capsys.readouterr().out
         assert all(f"genmf-mi {command}" in text for command in COMMANDS)
-
-    def test_without_a_command(self, capsys):
-        assert cli.main([]) == 2
-        assert "genmf-mi refine" in capsys.readouterr().out
 
     def test_unknown_command(self, capsys):
         assert cli.main(["refien", "a.glb"]) == 2
@@ -237,9 +235,19 @@ class TestBatch:
         assert json.loads(Path("runs/batch.json").read_text())["done"]["state"] == "skipped"
 
 
-def test_installed_command():
-    """`python -m genmf_mi` is the same command, also in the way that it fails."""
-    command = [sys.executable, "-m", "genmf_mi", "refine", "nowhere.glb"]
-    done = subprocess.run(command, capture_output=True, encoding="utf-8")
+def installed(*arguments: str, **environment: str) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-m", "genmf_mi", *arguments]
+    return subprocess.run(command, capture_output=True, encoding="utf-8", env=os.environ | environment)
+
+
+def test_terminal_without_unicode():
+    """The help holds mathematical signs."""
+    done = installed("refine", "--help", PYTHONIOENCODING="ascii")
+    assert done.returncode == 0 and "1 ? SSIM" in done.stdout
+
+
+def test_python_m():
+    """The same command, also in the way that it fails."""
+    done = installed("refine", "nowhere.glb")
     assert done.returncode == 2
     assert done.stderr.startswith("error: ") and len(done.stderr.splitlines()) == 1
