@@ -63,7 +63,7 @@ def features(phi: Tensor, cell: float) -> np.ndarray:
     height = np.broadcast_to((np.arange(inside.shape[1]) - base)[None, :, None], inside.shape)
     depth = -phi[0].numpy() / cell
     single = [
-        np.log1p(depth, where=inside),
+        np.log1p(depth.clip(0)),
         np.log1p(thickness(depth)),
         laplacian.clip(-3, 3),
         np.abs(vertical),

@@ -124,7 +124,7 @@ class StressSamples(Dataset):
     def _decoded(self, item: int) -> tuple[np.ndarray, np.ndarray]:
         path = self.folder / self.records[item]["file"]
         try:
-            with np.load(path) as layers:
+            with open(path, "rb") as handle, np.load(handle) as layers:
                 n = layers["phi_far"].shape[0]
                 phi = codec.unpack_distance(layers, n)
                 return rebuilt(phi).astype(np.float16), codec.unpack_stress(layers, phi)

@@ -121,6 +121,7 @@ class _Training:
             if self.step % self.config.validate_every == 0 or self.done >= 1.0:
                 self._validate()
                 self._save()
+                write_curves(self.out / CURVES, self.log)
             elif self.step % CHECKPOINT_EVERY == 0:
                 self._save()
             self.seconds = time.monotonic() - start
@@ -169,7 +170,6 @@ class _Training:
         with atomic(self.out / CHECKPOINT) as path:
             torch.save({**state, "random": torch.get_rng_state()}, path)
         write_text(self.out / LOG, "".join(json.dumps(line) + "\n" for line in self.log))
-        write_curves(self.out / CURVES, self.log)
 
     def restore(self) -> None:
         """Go back to the checkpoint. Raises :class:`OutputError` if it is damaged."""
@@ -189,12 +189,11 @@ class _Training:
         about = {
             **asdict(self.config),
             "steps_made": self.step,
-            "seconds": round(self.seconds),
             "samples": {split: len(samples) for split, samples in self.samples.items()},
             "validation": self.best_scores,
         }
         digest = weights.save(self.out / WEIGHTS, self.net, self.config.preset, self.simulation, about)
-        result = {"sha256": digest, **about}
+        result = {"sha256": digest, "seconds": round(self.seconds), **about}
         write_text(self.out / METRICS, json.dumps(result, indent=2) + "\n")
         (self.out / CHECKPOINT).unlink(missing_ok=True)
         return result

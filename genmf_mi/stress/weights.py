@@ -13,7 +13,8 @@ from genmf_mi.errors import GenmfError
 from genmf_mi.files import atomic
 from genmf_mi.stress.network import Architecture, StressNetwork
 
-FORMAT = "genmf_mi stress network 1"
+KEY, FORMAT = "genmf_mi_stress_network", 1
+"""All in one entry of the header: safetensors writes several in a random order, and the hash would change."""
 
 
 class WeightsError(GenmfError):
@@ -32,10 +33,16 @@ def save(path: str | Path, network: StressNetwork, preset: str, simulation: dict
     """
     from safetensors.torch import save_file
 
-    about = {"preset": preset, "architecture": network.settings(), "simulation": simulation, "training": training}
+    about = {
+        "format": FORMAT,
+        "preset": preset,
+        "architecture": network.settings(),
+        "simulation": simulation,
+        "training": training,
+    }
     tensors = {name: value.detach().cpu().half().contiguous() for name, value in network.state_dict().items()}
     with atomic(path) as temporary:
-        save_file(tensors, temporary, {"format": FORMAT, "about": json.dumps(about, sort_keys=True)})
+        save_file(tensors, temporary, {KEY: json.dumps(about, sort_keys=True)})
     return digest(path)
 
 
@@ -63,9 +70,9 @@ def load(
             tensors = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError) as error:
         raise WeightsError(f"{path} is damaged or no file of weights ({error}); get it again.") from error
-    if header.get("format") != FORMAT:
+    about = json.loads(header.get(KEY, "{}"))
+    if about.get("format") != FORMAT:
         raise WeightsError(f"{path} holds no stress network that this program knows; train one again.")
-    about = json.loads(header["about"])
     if preset is not None and about["preset"] != preset:
         raise WeightsError(f"{path} holds the network {about['preset']!r}, not {preset!r}; give the other one.")
     if simulation is not None:
