@@ -8,6 +8,8 @@ by a fraction of a cell near the medial axis and by less elsewhere.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from genmf_mi.errors import SolidError
@@ -21,20 +23,21 @@ def axis(n: int) -> np.ndarray:
     return np.linspace(-1.0, 1.0, n)
 
 
-def signed_distance(vertices: np.ndarray, faces: np.ndarray, n: int = 129) -> np.ndarray:
-    """Φ of a triangle mesh in the normalised frame.
+@dataclass(frozen=True)
+class Band:
+    """The samples near a surface and what of it is closest to them.
 
-    Args:
-        vertices: ``[V,3]``, inside [-1, 1]³.
-        faces: ``[F,3]``.
-        n: samples per axis.
-
-    Returns:
-        float32 ``[n,n,n]``, indexed x, y, z.
-
-    Raises:
-        SolidError: no faces, non-finite vertices, or nothing that the surface encloses.
+    index: place in the flattened grid ``[M]``. distance: ``[M]``. face: ``[M]``. closest: point on it ``[M,3]``.
     """
+
+    index: np.ndarray
+    distance: np.ndarray
+    face: np.ndarray
+    closest: np.ndarray
+
+
+def band(vertices: np.ndarray, faces: np.ndarray, n: int = 129) -> Band:
+    """All samples within :data:`BAND` cells of the surface, and some more. Raises as :func:`signed_distance`."""
     import igl
 
     vertices = np.ascontiguousarray(vertices, dtype=np.float64)
@@ -43,17 +46,31 @@ def signed_distance(vertices: np.ndarray, faces: np.ndarray, n: int = 129) -> np
         raise SolidError("the surface has no faces; give a mesh with triangles.")
     if not np.isfinite(vertices).all():
         raise SolidError("the surface has vertices that are not numbers; export the mesh again.")
-
-    cell = 2.0 / (n - 1)
     index = _near_surface(vertices, faces, n)
-    points = index * cell - 1.0
-    squared, _, closest = igl.point_mesh_squared_distance(points, vertices, faces)
-    magnitude = np.sqrt(squared)
+    squared, face, closest = igl.point_mesh_squared_distance(index * (2.0 / (n - 1)) - 1.0, vertices, faces)
+    return Band(np.ravel_multi_index(tuple(index.T), (n, n, n)), np.sqrt(squared), face, closest)
 
-    flat = np.ravel_multi_index(tuple(index.T), (n, n, n))
-    phi = _propagate(flat, closest, n)
-    phi[flat] = magnitude
 
+def signed_distance(vertices: np.ndarray, faces: np.ndarray, n: int = 129, near: Band | None = None) -> np.ndarray:
+    """Φ of a triangle mesh in the normalised frame.
+
+    Args:
+        vertices: ``[V,3]``, inside [-1, 1]³.
+        faces: ``[F,3]``.
+        n: samples per axis.
+        near: :func:`band` of the mesh, where it is known already.
+
+    Returns:
+        float32 ``[n,n,n]``, indexed x, y, z.
+
+    Raises:
+        SolidError: no faces, non-finite vertices, or nothing that the surface encloses.
+    """
+    near = near or band(vertices, faces, n)
+    vertices = np.ascontiguousarray(vertices, dtype=np.float64)
+    faces = np.ascontiguousarray(faces, dtype=np.int64)
+    phi = _propagate(near.index, near.closest, n)
+    phi[near.index] = near.distance
     inside = _sign(phi.reshape(n, n, n), vertices, faces).reshape(-1)
     if not inside.any():
         raise SolidError(
