@@ -66,8 +66,10 @@ class MeshDistance:
         face[near.index] = near.face
         deep = np.flatnonzero(reached & (face < 0))
         if len(deep):
-            _, nearest = cKDTree(near.closest, balanced_tree=False, compact_nodes=False).query(self._at(deep))
-            face[deep] = near.face[nearest]
+            some = near.distance < 2.0 / (self.n - 1)  # their points lie as dense as the others' and are far fewer
+            tree = cKDTree(near.closest[some], balanced_tree=False, compact_nodes=False)
+            _, nearest = tree.query(self._at(deep), workers=-1)
+            face[deep] = near.face[some][nearest]
         index = np.flatnonzero(reached)
 
         like = {"device": vertices.device, "dtype": vertices.dtype}
