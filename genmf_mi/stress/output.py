@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from genmf_mi.errors import OutputError
 from genmf_mi.files import atomic, write_text
 from genmf_mi.stress.fem import Field, Simulation
+
+if TYPE_CHECKING:
+    from genmf_mi.stress.predictor import NodalField, Prediction
 
 FILES = ("stress.vtu", "stress.npz", "stress.json", "stress.png")
 
@@ -49,7 +53,20 @@ def write_vtu(path: Path, field: Field) -> None:
         meshio.write(temporary, mesh, file_format="vtu")
 
 
-def write_grid(path: Path, simulation: Simulation) -> None:
+def write_prediction_vtu(path: Path, field: NodalField) -> None:
+    """A predicted field on a mesh, for ParaView: mm, MPa; z up."""
+    import meshio
+
+    mesh = meshio.Mesh(
+        field.mesh.points,
+        [("tetra", field.mesh.cells)],
+        point_data={"von_mises_MPa": field.von_mises_nodes.astype(np.float32)},
+    )
+    with atomic(path) as temporary:
+        meshio.write(temporary, mesh, file_format="vtu")
+
+
+def write_grid(path: Path, simulation: Simulation | Prediction) -> None:
     """Φ and von Mises on the grid, ``[x,y,z]`` over [-1, 1]³ with y up, and the frame that the grid stands in."""
     von_mises, _ = simulation.on_grid()
     frame = simulation.frame

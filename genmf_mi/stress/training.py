@@ -27,7 +27,7 @@ from torch import Tensor
 
 from genmf_mi.errors import ConfigError, OutputError
 from genmf_mi.files import atomic, write_text
-from genmf_mi.stress import metrics, weights
+from genmf_mi.stress import domain, metrics, weights
 from genmf_mi.stress.compute import bfloat16_on, device_of, log_stress, stress
 from genmf_mi.stress.curves import write_curves
 from genmf_mi.stress.network import network, to_target, window
@@ -191,6 +191,7 @@ class _Training:
             "steps_made": self.step,
             "samples": {split: len(samples) for split, samples in self.samples.items()},
             "validation": self.best_scores,
+            "domain": domain.ranges(self.samples["train"][item][0] for item in range(len(self.samples["train"]))),
         }
         digest = weights.save(self.out / WEIGHTS, self.net, self.config.preset, self.simulation, about)
         result = {"sha256": digest, "seconds": round(self.seconds), **about}

@@ -11,7 +11,9 @@ from pathlib import Path
 
 from genmf_mi.errors import GenmfError
 from genmf_mi.files import atomic
+from genmf_mi.stress.fem import Settings
 from genmf_mi.stress.network import Architecture, StressNetwork
+from genmf_mi.stress.protocol import Protocol
 
 KEY, FORMAT = "genmf_mi_stress_network", 1
 """All in one entry of the header: safetensors writes several in a random order, and the hash would change."""
@@ -101,3 +103,8 @@ def digest(path: str | Path) -> str:
     """SHA-256 of a file."""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def settings_of(simulation: dict) -> Settings:
+    """The settings that a file's ``simulation`` describes."""
+    return Settings(**{**simulation, "protocol": Protocol(**simulation["protocol"])})
