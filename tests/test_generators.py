@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import pickle
+import re
 from itertools import permutations, product
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -427,6 +429,50 @@ class TestConvert:
     def test_other_suffixes_are_refused(self, converted, tmp_path):
         with pytest.raises(AssetError, match="must be one of"):
             files.save(converted[1], tmp_path / "a.pt")
+
+
+class TestDocumentedLines:
+    """The lines of docs/generators.md, run with stand-ins for the generators."""
+
+    def lines(self, word: str) -> str:
+        text = (Path(__file__).parents[1] / "docs" / "generators.md").read_text(encoding="utf-8")
+        (found,) = (block for block in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL) if word in block)
+        return found
+
+    def test_instantmesh(self, tmp_path):
+        arrays = of_instantmesh()
+        vertices, faces = instantmesh.build("a", **arrays).surface()
+        outputs = tuple(torch.tensor(arrays[key]) for key in ("sdf", "deformation", "weights"))
+        mesh = vertices[:, [2, 0, 1]], faces, np.full((len(vertices), 3), 200, np.uint8)
+        model = SimpleNamespace(
+            synthesizer=SimpleNamespace(get_geometry_prediction=lambda planes, verts, indices: outputs),
+            geometry=SimpleNamespace(verts=torch.zeros(1, 3), indices=None),
+            extract_mesh=lambda planes: mesh,
+            grid_scale=2.1,
+        )
+        exec(self.lines("get_geometry_prediction"), {"model": model, "planes": 0, "np": np, "name": tmp_path / "a"})
+        shape = files.load(tmp_path / "a.npz")
+        check_figure(shape, 2.1 / 24)
+        np.testing.assert_allclose(shape.closest_albedo(vertices[:5]), to_linear(np.full((5, 3), 200 / 255)), rtol=1e-4)
+
+    def test_trellis(self, tmp_path):
+        arrays = of_trellis(32)
+
+        class Extractor:
+            res = 32
+
+            def __call__(self, cubes, training):
+                cubes.feats[:, :8] -= 1 / self.res  # as the extractor does, in place
+                return "mesh"
+
+        decoder = SimpleNamespace(mesh_extractor=Extractor())
+        cubes = SimpleNamespace(
+            coords=torch.tensor(np.insert(arrays["coords"], 0, 0, axis=1)), feats=torch.tensor(arrays["feats"])
+        )
+        pipeline = SimpleNamespace(models={"slat_decoder_mesh": decoder})
+        exec(self.lines("mesh_extractor"), {"pipeline": pipeline, "np": np, "name": tmp_path / "a"})
+        assert decoder.mesh_extractor(cubes) == "mesh"
+        check_figure(files.load(tmp_path / "a.npz"), 1 / 32)
 
 
 def test_the_generators_ranges():
