@@ -311,6 +311,8 @@ class TestRefusals:
         ("change", "message"),
         [
             ({"phi": np.ones((9, 9, 8))}, "must be a cube"),
+            ({"phi": np.float32(1)}, "must be a cube"),
+            ({"rows": np.zeros(512, int)}, "rows point to weights"),
             ({"phi": np.ones((9, 9, 9))}, "negative nowhere"),
             ({"phi": -np.ones((9, 9, 9))}, "negative on the border"),
             ({"deformation": np.full((9, 9, 9, 3), 0.2)}, "more than half a cell"),

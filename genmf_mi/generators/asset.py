@@ -50,12 +50,14 @@ class SdfAsset:
     report: dict = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        m, where = len(self.phi), self.source or self.name
+        m, where = next(iter(np.shape(self.phi)), 0), self.source or self.name
         if np.shape(self.phi) != (m, m, m) or not 4 <= m <= LARGEST:
             raise AssetError(
                 f"{where}: phi must be a cube of 4 to {LARGEST} samples per axis, not {np.shape(self.phi)}."
             )
-        count = (m - 1) ** 3 if self.rows is None or self.weights is None else len(self.weights)
+        count = (m - 1) ** 3
+        if self.rows is not None:
+            count = next(iter(np.shape(self.weights)), 0)
         for name, shape in (("deformation", (m, m, m, 3)), ("weights", (count, 21)), ("rows", ((m - 1) ** 3,))):
             array = getattr(self, name)
             if array is not None and np.shape(array) != shape:
