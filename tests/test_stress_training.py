@@ -243,7 +243,8 @@ def test_patience_ends_a_training(data: Path, tmp_path: Path) -> None:
 
 def test_half_the_resolution(data: Path, tmp_path: Path) -> None:
     train(data, tmp_path, replace(CONFIG, steps=1, stride=2))
-    assert weights.load(tmp_path / training.WEIGHTS)[0].architecture.grid == 17
+    net, about = weights.load(tmp_path / training.WEIGHTS)
+    assert net.architecture.grid == about["simulation"]["grid"] == 17
 
 
 def test_a_training_is_not_lost_by_mistake(data: Path, tmp_path: Path) -> None:

@@ -93,9 +93,10 @@ class _Training:
         self.out, self.config, self.samples, self.watcher = out, config, samples, watcher
         self.device = device_of(config.device)
         self.bfloat16 = bfloat16_on(self.device, config.precision)
-        self.simulation = samples["train"].settings["simulation"]
+        simulation = samples["train"].settings["simulation"]
+        self.simulation = {**simulation, "grid": (simulation["grid"] - 1) // config.stride + 1}
         torch.manual_seed(config.seed)
-        self.net = network(config.preset, (self.simulation["grid"] - 1) // config.stride + 1).to(self.device)
+        self.net = network(config.preset, self.simulation["grid"]).to(self.device)
         self.optimiser = torch.optim.AdamW(self.net.parameters(), config.rate, weight_decay=config.weight_decay)
         self.step, self.seconds, self.best, self.since_best = 0, 0.0, math.inf, 0
         self.best_weights: dict[str, Tensor] = {}
