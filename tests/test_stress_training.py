@@ -19,7 +19,7 @@ from genmf_mi.stress.fem import Settings
 from genmf_mi.stress.network import Architecture, to_stress
 from genmf_mi.stress.reader import StressSamples, rebuilt
 from genmf_mi.stress.train_config import TrainConfig
-from genmf_mi.stress.training import Watcher, train
+from genmf_mi.stress.training import Watcher
 from genmf_mi.stress.weights import WeightsError
 
 N = 33
@@ -181,6 +181,10 @@ def test_local_thickness() -> None:
     assert np.allclose(baselines.thickness(depth)[inside], 6.0)
 
 
+def train(data: Path, out: Path, config: TrainConfig, **options) -> dict:
+    return training.train(data, out, config, cache=data.parent / "decoded", **options)
+
+
 class Killed(Exception):
     pass
 
@@ -212,7 +216,7 @@ def test_resumed_training_ends_like_an_uninterrupted_one(
 
 
 def test_what_a_training_leaves(data: Path, tmp_path: Path) -> None:
-    result = train(data, tmp_path, replace(CONFIG, steps=16, validate_every=4, tail=1.0), cache=tmp_path / "cache")
+    result = train(data, tmp_path, replace(CONFIG, steps=16, validate_every=4, tail=1.0))
     lines = [json.loads(line) for line in (tmp_path / training.LOG).read_text().splitlines()]
     losses = [line["loss"] for line in lines if "loss" in line]
     rates = [line["rate"] for line in lines if "loss" in line]
