@@ -29,14 +29,16 @@ def row(path: Path, settings: fem.Settings) -> dict:
     except GenmfError as error:
         return {"refused": str(error)}
     numbers = summary(result)
-    return {
+    mesh = numbers["mesh"]
+    figures = {
         **numbers["von_mises_mpa"],
         "surface_band": numbers["surface_band"]["mean"],
         "displacement_max_mm": numbers["displacement_max_mm"],
-        "nodes": numbers["mesh"]["nodes"],
-        "quality_min": numbers["mesh"]["quality_min"],
-        "dropped_fraction": numbers["mesh"]["dropped_fraction"],
-        "thin_fraction": numbers["mesh"]["thin_fraction"],
+        **{name: mesh[name] for name in ("quality_min", "dropped_fraction", "thin_fraction")},
+    }
+    return {
+        **{name: round(value, 4) for name, value in figures.items()},
+        "nodes": mesh["nodes"],
         "seconds_cpu": round(time.process_time() - cpu, 1),
         "seconds_wall": round(time.perf_counter() - started, 1),
     }
@@ -48,7 +50,7 @@ def main(
     """Simulate mesh files, or all mesh files of folders, and write a table."""
     files = sorted(f for p in paths for f in (p.iterdir() if p.is_dir() else [p]) if f.suffix.lower() in MESHES)
     table = (
-        json.loads(out.read_text())
+        json.loads(out.read_text(encoding="utf-8"))
         if out.exists()
         else {"edge_mm": edge_mm, "machine": platform.machine(), "shapes": {}}
     )

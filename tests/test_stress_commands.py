@@ -5,6 +5,8 @@ from __future__ import annotations
 import errno
 import json
 import os
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,14 +14,19 @@ import pytest
 import scipy.sparse as sp
 import trimesh
 
+from genmf_mi import cli
 from genmf_mi.errors import AssetError, ConfigError, OutputError, SolidError
-from genmf_mi.frame import Frame
-from genmf_mi.stress import commands, fem, output, picture
+from genmf_mi.frame import HALF_EXTENT, Frame
+from genmf_mi.stress import commands, elasticity, fem, output, picture
+from genmf_mi.stress.assembly import P1
+from genmf_mi.stress.comparison import in_layer, layer_ratio
+from genmf_mi.stress.distance import axis
 from genmf_mi.stress.grid import to_grid
 from genmf_mi.stress.linear import SolveError, solve_spd
 from genmf_mi.stress.materials import MATERIALS, Material, material
 from genmf_mi.stress.protocol import Protocol
 from genmf_mi.stress.statistics import summary, weighted_percentiles
+from genmf_mi.stress.tetrahedra import stuff
 
 COARSE = {"edge_mm": 8.0, "grid": 33, "picture": False}
 
@@ -75,15 +82,21 @@ def test_a_volume_mesh_gives_the_same(block: Path, tmp_path: Path) -> None:
     assert again["von_mises_mpa"]["mean"] == pytest.approx(numbers["von_mises_mpa"]["mean"], rel=0.01)
 
 
-def test_compare(block: Path, tmp_path: Path) -> None:
+def test_compare(block: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from PIL import Image
+
+    monkeypatch.setattr(picture, "write_picture", partial(picture.write_picture, pixels=40))
     larger = tmp_path / "larger.ply"
     trimesh.creation.box((1.05, 0.6, 0.4)).export(larger)
-    settings = {**COARSE, "out": tmp_path / "out"}
+    settings = {**COARSE, "out": tmp_path / "out", "picture": True}
     commands.compare(block, larger, **settings)
+    with Image.open(tmp_path / "out" / "compare.png") as sheet:
+        assert sheet.height > 0.8 * sheet.width, "two rows"
     numbers = json.loads((tmp_path / "out" / "compare.json").read_text())
     assert numbers["b"]["settings"]["size_mm"] == pytest.approx(105.0), "the same units, so the same scale"
     means = [numbers[k]["von_mises_mpa"]["mean"] for k in "ab"]
     assert numbers["ratio"]["mean"] == pytest.approx(means[1] / means[0])
+    assert 0.5 < numbers["ratio"]["surface_layer_mean"] < 2.0
 
 
 def test_stress_follows_the_material(simulation: fem.Simulation) -> None:
@@ -112,6 +125,34 @@ def test_grid_reproduces_a_linear_field(simulation: fem.Simulation) -> None:
     wrong = abs(field - (x - 2 * y + 3 * z))[phi <= 0] > 1e-5
     assert wrong.sum() <= filled < 0.1 * (phi <= 0).sum()
     assert (field[phi > 0] == 0).all()
+
+
+def test_the_surface_band_is_weighted_by_volume() -> None:
+    """A ball of 50 mm whose stress is the depth: closed forms of the share of the band and of its mean."""
+    x, y, z = np.meshgrid(axis(65), axis(65), axis(65), indexing="ij")
+    frame = Frame((0.0, 0.0, 0.0), HALF_EXTENT, 100.0)
+    phi = (np.sqrt(x**2 + y**2 + z**2) - HALF_EXTENT).astype(np.float32)
+    mesh = stuff(phi, 3.0 / frame.mm_per_unit)
+    elements = P1(mesh.moved(frame.to_print(mesh.points)))
+    depth = 50.0 - frame.mm_per_unit * np.linalg.norm(mesh.points[mesh.cells].mean(axis=1), axis=1)
+    nodes = np.zeros(len(mesh.points))
+    field = fem.Field(elements, nodes, np.zeros((len(nodes), 3)), np.zeros((len(depth), 3, 3)), depth, nodes, 0, {})
+    band = summary(fem.Simulation(fem.Settings(), frame, phi, mesh, field, [], 0.0, {}))["surface_band"]
+    radii = np.linspace(46.0, 50.0, 4001)
+    assert band["volume_fraction"] == pytest.approx(1 - 0.92**3, rel=0.03)
+    assert band["mean"] == pytest.approx(np.average(50.0 - radii, weights=radii**2), rel=0.03)
+
+
+def test_the_layer_is_one_place_in_both(simulation: fem.Simulation) -> None:
+    """The layer of a part under its own surface is its surface band, wherever in its file the other one stands."""
+    share = np.average(in_layer(simulation, simulation), weights=simulation.field.elements.volumes)
+    assert share == pytest.approx(summary(simulation)["surface_band"]["volume_fraction"])
+    half = replace(simulation, field=replace(simulation.field, von_mises=simulation.field.von_mises / 2))
+    assert layer_ratio(simulation, half) == pytest.approx(0.5)
+    elsewhere = replace(half, frame=replace(half.frame, centre=(900.0, 0.0, 0.0), scale=7.0))
+    assert layer_ratio(simulation, elsewhere) == pytest.approx(0.5)
+    deep = replace(simulation, phi=simulation.phi - 9.0)
+    assert layer_ratio(deep, simulation) is None
 
 
 def test_weighted_percentiles() -> None:
@@ -161,6 +202,67 @@ def test_a_solve_that_does_not_converge_gives_no_field() -> None:
         solve_spd(matrix, np.ones(3), None, 1e-9, most=20)
 
 
+def exported(path: Path, vertices, faces) -> Path:
+    trimesh.Trimesh(vertices, faces, process=False).export(path)
+    return path
+
+
+def test_thin_parts_are_warned_about(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    """On a grid of 33, two cells are 6.6 mm."""
+    plate = trimesh.creation.box((1.0, 0.04, 1.0))
+    settings = {**COARSE, "edge_mm": 3.5, "out": tmp_path / "out"}
+    commands.simulate(exported(tmp_path / "plate.ply", plate.vertices, plate.faces), **settings)
+    fraction = json.loads((tmp_path / "out" / "stress.json").read_text(encoding="utf-8"))["mesh"]["thin_fraction"]
+    assert fraction > 0.8
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"plate.ply is thinner than two grid cells under {fraction:.0%} of its surface" in said
+
+
+BALL = trimesh.creation.icosphere(subdivisions=2)
+BAD_SHAPES = {
+    "sheet": ([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]], [[0, 1, 2], [0, 2, 3]]),
+    "empty": (np.zeros((0, 3)), np.zeros((0, 3), dtype=int)),
+    "nan": (np.where(BALL.vertices > 0.9, np.nan, BALL.vertices), BALL.faces),
+    "flat": (BALL.vertices * [1, 0, 1], BALL.faces),
+}
+
+
+@pytest.mark.parametrize("name", sorted(BAD_SHAPES))
+def test_a_bad_shape_ends_the_command(name: str, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    """Exit code 2, one sentence with the reason, and no result."""
+    path = exported(tmp_path / f"{name}.ply", *BAD_SHAPES[name])
+    out = tmp_path / "out"
+    assert cli.main(["stress", "simulate", str(path), "--out", str(out), "--edge-mm", "8", "--grid", "33"]) == 2
+    assert capsys.readouterr().err.startswith("error: ")
+    assert not out.exists() or not list(out.iterdir())
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--material", "wood"],
+        ["--edge-mm", "0"],
+        ["--protocol.ambient-end-celsius", "nan"],
+        ["--protocol.film-w-m2k", "-5"],
+    ],
+)
+def test_a_bad_setting_ends_the_command(
+    arguments: list[str], block: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    assert cli.main(["stress", "simulate", str(block), "--out", str(tmp_path / "out"), *arguments]) == 2
+    assert capsys.readouterr().err.startswith("error: ")
+
+
+def test_a_failed_solve_ends_the_command(
+    block: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.setattr(elasticity, "TOLERANCE", 1e-30)
+    out = tmp_path / "out"
+    assert cli.main(["stress", "simulate", str(block), "--out", str(out), "--edge-mm", "12", "--grid", "33"]) == 2
+    assert "the elastic equilibrium did not converge" in capsys.readouterr().err
+    assert list(out.iterdir()) == []
+
+
 def test_full_disk_leaves_no_half_file(
     simulation: fem.Simulation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -181,6 +283,21 @@ def test_picture_shows_the_part_in_colour(simulation: fem.Simulation, tmp_path: 
     image = np.asarray(Image.open(path).convert("RGB")).astype(float)
     colourful = np.ptp(image, axis=2) > 60
     assert 0.05 < colourful.mean() < 0.6
+
+
+def test_two_shapes_share_one_scale(simulation: fem.Simulation, tmp_path: Path) -> None:
+    """A row for each; half the stress in the second, so that only the first has the colours of the upper half."""
+    from PIL import Image
+
+    half = replace(simulation, field=replace(simulation.field, von_mises_nodes=simulation.field.von_mises_nodes / 2))
+    path = tmp_path / "compare.png"
+    picture.write_picture(path, [("before", simulation), ("after", half)], "two balls", pixels=80)
+    sheet = np.asarray(Image.open(path).convert("RGB")).astype(float)
+    views = sheet[:, : int(0.9 * sheet.shape[1])]
+    colourful, red = np.ptp(views, axis=2) > 60, views[..., 0] - views[..., 1:].max(axis=2) > 60
+    middle = len(views) // 2
+    assert all(part.mean() > 0.05 for part in (colourful[:middle], colourful[middle:]))
+    assert red[:middle].mean() > 0.01 and red[middle:].mean() < 0.001
 
 
 def test_print_frame_is_upright() -> None:

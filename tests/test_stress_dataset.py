@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import resource
 import signal
 import threading
 from pathlib import Path
@@ -82,6 +83,20 @@ def test_a_worker_that_dies_costs_one_sample(tmp_path: Path) -> None:
     thread.join()
     assert records[0] == {"index": 0, "error": "the worker died with exit code -9"}
     assert [r["index"] for r in records] == [0, 1, 2]
+
+
+def test_a_full_disk_stops_the_run_and_loses_nothing(tmp_path: Path) -> None:
+    """No file may grow beyond 2 kB, in the workers neither: room for the settings but for no sample."""
+    settings = DatasetSettings(COARSE, seed=1)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2048, hard))
+    try:
+        with pytest.raises(OutputError, match="cannot write"):
+            build(tmp_path, 1, settings)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert read_index(tmp_path) == [] and list((tmp_path / "samples").iterdir()) == []
+    assert build(tmp_path, 1, settings).made == 1
 
 
 def test_failures_are_recorded_and_retried(tmp_path: Path) -> None:

@@ -57,6 +57,17 @@ def test_volumes() -> None:
     assert stuff(shapes()["block"], 0.08).volumes.sum() == pytest.approx(1.9 * 1.1 * 0.7, rel=0.02)
 
 
+def test_volume_is_lost_to_flat_facets_alone() -> None:
+    """A facet of size h cuts h²/R off a curved surface. A vertex snapped off the surface would show in the order."""
+    ticks = axis(97)
+    x, y, z = np.meshgrid(ticks, ticks, ticks, indexing="ij")
+    ball = np.sqrt(x**2 + y**2 + z**2) - 0.5
+    exact = 4 / 3 * np.pi * 0.5**3
+    coarse, fine = (1 - stuff(ball, edge).volumes.sum() / exact for edge in (0.16, 0.08))
+    assert 0 < fine < coarse < 0.1
+    assert np.log2(coarse / fine) == pytest.approx(2.0, abs=0.3)
+
+
 def test_loose_parts_are_left_out() -> None:
     ticks = axis(49)
     x, y, z = np.meshgrid(ticks, ticks, ticks, indexing="ij")

@@ -8,12 +8,14 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks import verification
 from genmf_mi.stress import fem, surface, tetrahedra
 from genmf_mi.stress.distance import signed_distance
 from genmf_mi.stress.elasticity import soft_clamp, von_mises
@@ -69,7 +71,7 @@ def results(path: Path) -> dict[str, np.ndarray]:
     """The last block of each kind in a .dat file: displacements, temperatures, stresses (xx yy zz xy xz yz)."""
     blocks: dict[str, list] = {}
     current: list = []
-    for line in path.read_text().splitlines():
+    for line in path.read_text(encoding="utf-8").splitlines():
         words = line.split()
         if words and words[0] in ("displacements", "temperatures", "stresses"):
             current = blocks[words[0]] = []
@@ -89,7 +91,7 @@ def compare(name: str, vertices, faces, edge_mm: float) -> dict:
     ours = fem.solve(mesh, stuff, protocol)
     seconds = time.process_time() - started
     with tempfile.TemporaryDirectory() as folder:
-        Path(folder, "job.inp").write_text(deck(ours, stuff, protocol))
+        Path(folder, "job.inp").write_text(deck(ours, stuff, protocol), encoding="utf-8")
         started = time.perf_counter()
         run = subprocess.run(["ccx", "-i", "job"], cwd=folder, env=os.environ | {"OMP_NUM_THREADS": "1"},
                              capture_output=True, text=True)  # fmt: skip
@@ -116,7 +118,7 @@ def compare(name: str, vertices, faces, edge_mm: float) -> dict:
 
 def main(shapes: dict[str, Path], edge_mm: float = 2.5) -> dict:
     if shutil.which("ccx") is None:
-        return {"skipped": "ccx is not installed; apt-get install calculix-ccx"}
+        sys.exit("skipped: ccx is not installed; apt-get install calculix-ccx")
     rows = []
     for name, path in shapes.items():
         rows.append(compare(name, *surface.load(path), edge_mm))
@@ -125,7 +127,4 @@ def main(shapes: dict[str, Path], edge_mm: float = 2.5) -> dict:
 
 
 if __name__ == "__main__":
-    import json
-    import sys
-
-    print(json.dumps(main({Path(p).stem: Path(p) for p in sys.argv[1:]})))
+    verification.record("calculix", main({Path(p).stem: Path(p) for p in sys.argv[1:]}))

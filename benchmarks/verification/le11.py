@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
+from benchmarks import verification
 from genmf_mi.stress.elasticity import multigrid
 from genmf_mi.stress.linear import solve_spd
 from genmf_mi.stress.materials import Material
@@ -92,4 +93,4 @@ def main() -> dict:
 
 
 if __name__ == "__main__":
-    main()
+    verification.record("nafems_le11", main())

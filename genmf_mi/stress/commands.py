@@ -89,7 +89,7 @@ def compare(
         force: Replace results that are there.
     """
     from genmf_mi.stress import output
-    from genmf_mi.stress.comparison import ratios, relative_size
+    from genmf_mi.stress.comparison import layer_ratio, ratios, relative_size
     from genmf_mi.stress.fem import Settings
     from genmf_mi.stress.statistics import summary
 
@@ -98,12 +98,14 @@ def compare(
     output.claim(out, ("compare.json", "compare.png"), force)
     with _bar() as bar:
         before = _simulated(a, settings, lambda stage, done: bar(f"{a.stem}: {stage}", 0.45 * done))
-        size = size_mm * relative_size(a, b)
+        size = size_mm * relative_size(before.frame, b)
         after = _simulated(
             b, Settings(size, edge_mm, grid, material, protocol), lambda s, d: bar(f"{b.stem}: {s}", 0.45 + 0.45 * d)
         )
         numbers = {"a": {"asset": a.name, **summary(before)}, "b": {"asset": b.name, **summary(after)}}
         numbers["ratio"] = ratios(numbers["a"], numbers["b"])
+        if (layer := layer_ratio(before, after)) is not None:
+            numbers["ratio"]["surface_layer_mean"] = layer
         if picture:
             from genmf_mi.stress.picture import write_picture
 

@@ -42,7 +42,8 @@ def render(vertices, faces, value, azimuth: float, elevation: float, pixels: int
     a, e = np.radians([azimuth, elevation])
     towards = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
     side = np.array([np.cos(a), 0.0, -np.sin(a)])
-    distance = 1.03 * radius / np.sin(np.radians(_FIELD_OF_VIEW / 2))
+    across = np.abs((vertices - centre) @ np.stack([side, np.cross(towards, side)], axis=1)).max(axis=1)
+    distance = ((vertices - centre) @ towards + 1.12 * across / np.tan(np.radians(_FIELD_OF_VIEW / 2))).max()
     key = centre + radius * (4.0 * towards - 3.0 * side + np.array([0, 4.5, 0]))
     transform = mi.ScalarTransform4f()
     sensor = mi.load_dict(

@@ -62,7 +62,8 @@ class Forms:
         self.elasticity = skfem.BilinearForm(
             lambda u, v, w: lam * trace(sym_grad(u)) * trace(sym_grad(v)) + 2 * mu * ddot(sym_grad(u), sym_grad(v))
         ).assemble(self.elastic)
-        self._trace, self._sym_grad, self._linear = trace, sym_grad, skfem.LinearForm
+        self._trace, self._sym_grad = trace, sym_grad
+        self._linear, self._bilinear = skfem.LinearForm, skfem.BilinearForm
 
     def thermal_load(self, excess: np.ndarray) -> np.ndarray:
         """∫ β ΔT div v; with P1 the temperature is averaged over the cell, as the strain is constant in it."""
@@ -70,6 +71,22 @@ class Forms:
         return self._linear(lambda v, w: beta * w["excess"] * trace(sym_grad(v))).assemble(
             self.elastic, excess=self._at_points(excess)
         )
+
+    def clamp(self, fraction: float) -> sp.spmatrix:
+        """The soft clamp: with P1 as springs at the nodes, as the solver has it; with P2 integrated, κ ∫ w u·v."""
+        from skfem.helpers import dot
+
+        height, modulus = self.mesh.p[2], self.material.youngs_modulus_mpa
+        if self.order == 1:
+            volume = np.asarray(self.mass.sum(axis=1)).ravel()
+            spring = np.zeros(self.elastic.N)
+            spring[self.elastic.nodal_dofs] = soft_clamp(height, volume, modulus, fraction)
+            return sp.diags(spring)
+        points = np.asarray(self.elastic.global_coordinates())[2]
+        # The nodes are passed along, as the height of the body is that of its nodes.
+        every = np.concatenate([points.reshape(-1), height])
+        stiffness = soft_clamp(every, np.ones_like(every), modulus, fraction)[: points.size].reshape(points.shape)
+        return self._bilinear(lambda u, v, w: w["stiffness"] * dot(u, v)).assemble(self.elastic, stiffness=stiffness)
 
     def _at_points(self, excess: np.ndarray) -> np.ndarray:
         value = np.asarray(self.heat.interpolate(excess))
@@ -100,13 +117,7 @@ def solve(mesh: TetMesh, material: Material, protocol: Protocol, order: int = 1,
         load = capacity @ excess + forms.boundary_load * (protocol.film_w_mm2k * ambient)
         excess, _ = solve_spd(system, load, jacobi, tolerance, guess=excess, what="the heat equation")
 
-    # Springs at the vertices only, with their P1 volumes, so that both orders stand on the same clamp.
-    volume = np.bincount(mesh.cells.reshape(-1), np.repeat(mesh.volumes / 4, 4), len(mesh.points))
-    spring = np.zeros(forms.elastic.N)
-    spring[forms.elastic.nodal_dofs] = soft_clamp(
-        mesh.points[:, 2], volume, material.youngs_modulus_mpa, protocol.clamp_fraction
-    )
-    matrix = (forms.elasticity + sp.diags(spring)).tocsr()
+    matrix = (forms.elasticity + forms.clamp(protocol.clamp_fraction)).tocsr()
     load = forms.thermal_load(excess)
     # Components of a degree of freedom lie side by side, so 3×3 blocks and rigid motions carry over to either order.
     preconditioner = multigrid(matrix.tobsr((3, 3)), forms.elastic.doflocs[:, ::3].T)
