@@ -77,9 +77,9 @@ MATERIALS: dict[str, Material] = {
         ),
         Material(
             "petg", 2200.0, 0.38, 68e-6, 0.29, 1200.0, 1270.0, 81.0,
-            source="MakeItFrom.com 'Glycol-Modified Polyethylene Terephthalate (PETG, PET-G)': E, α, k, c_p and T₀, the "
-            "glass transition. Density is rounded to 1.3 g/cm³ there, 1.27 is usual for filament; ν is not given, 0.38 "
-            "is our choice.",
+            source="MakeItFrom.com 'Glycol-Modified Polyethylene Terephthalate (PETG, PET-G)': E, α, k, c_p and T₀, "
+            "the glass transition. Density is rounded to 1.3 g/cm³ there, 1.27 is usual for filament; ν is not given, "
+            "0.38 is our choice.",
         ),
         Material(
             "abs", 2000.0, 0.41, 95e-6, 0.23, 1400.0, 1050.0, 100.0,
