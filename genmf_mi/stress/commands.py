@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from genmf_mi.stress import bars
 from genmf_mi.stress.protocol import Protocol
 from genmf_mi.stress.train_config import TrainConfig
 
@@ -45,7 +44,7 @@ def simulate(
     settings = Settings(size_mm, edge_mm, grid, material, protocol)
     out = out or Path("runs") / f"{asset.stem}-stress"
     output.claim(out, output.FILES, force)
-    with _bar() as bar:
+    with bars.stages() as bar:
         simulation = _simulated(asset, settings, bar)
         numbers = {"asset": asset.name, **summary(simulation)}
         bar("writing", 0.96)
@@ -96,7 +95,7 @@ def compare(
     settings = Settings(size_mm, edge_mm, grid, material, protocol)
     out = out or Path("runs") / f"{a.stem}-{b.stem}-stress"
     output.claim(out, ("compare.json", "compare.png"), force)
-    with _bar() as bar:
+    with bars.stages() as bar:
         before = _simulated(a, settings, lambda stage, done: bar(f"{a.stem}: {stage}", 0.45 * done))
         size = size_mm * relative_size(before.frame, b)
         after = _simulated(
@@ -194,7 +193,7 @@ def train(
     if threads:
         torch.set_num_threads(threads)
     cache = cache or data.with_name(f"{data.name}-decoded")
-    with training_bar(config) as watcher:
+    with bars.training(config) as watcher:
         result = training.train(data, out, config, cache=cache, resume=resume, force=force, watcher=watcher)
     scores = result["validation"]["all"]
     print(
@@ -227,7 +226,7 @@ def predict(
 
     out = out or Path("runs") / f"{asset.stem}-predicted"
     output.claim(out, output.FILES, force)
-    with _bar() as bar:
+    with bars.stages() as bar:
         bar("reading", 0.0)
         predictor = Predictor(weights, device)
         vertices, faces = surface.load(asset)
@@ -282,39 +281,3 @@ def _warn(path: Path, numbers: dict) -> None:
             f"warning: {mesh['dropped_bodies']} loose parts of {path.name} "
             f"({mesh['dropped_fraction']:.1%} of its volume) were left out."
         )
-
-
-@contextmanager
-def _bar() -> Iterator:
-    """A progress bar; yields a function of the stage and the fraction done."""
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), TaskProgressColumn(), TimeElapsedColumn())
-    with Progress(*columns, transient=True) as bar:
-        task = bar.add_task("starting", total=1.0)
-        yield lambda stage, done: bar.update(task, description=stage, completed=done)
-
-
-@contextmanager
-def training_bar(config: TrainConfig) -> Iterator:
-    """A progress bar with loss, last validation and time left; yields a :class:`genmf_mi.stress.training.Watcher`."""
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
-
-    from genmf_mi.stress.training import Watcher
-
-    class Bar(Watcher):
-        found = ""
-
-        def step(self, step: int, done: float, loss: float) -> None:
-            bar.update(task, description=f"step {step}  loss {loss:.5f}{self.found}", completed=done)
-
-        def validating(self, item: int, count: int) -> None:
-            bar.update(task, description=f"validating {item} of {count}")
-
-        def validated(self, step: int, line: dict) -> None:
-            self.found = f"  validation {line['validation_mae']:.4f} MPa, IoU {line['validation_iou']:.3f}"
-
-    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, transient=True) as bar:
-        task = bar.add_task(config.preset, total=1.0)
-        yield Bar()
