@@ -143,7 +143,7 @@ class RefineConfig:
 
 
 PRESETS: dict[str, RefineConfig] = {
-    "draft": RefineConfig(iterations=40, resolution=256, max_faces=40_000, score_vgg=False),
+    "draft": RefineConfig(iterations=40, resolution=256, max_faces=32_000, score_vgg=False),
     "default": RefineConfig(),
     "paper": RefineConfig(iterations=1000, resolution=512, max_faces=300_000, weights=Weights(depth_smoothness=1.0)),
 }

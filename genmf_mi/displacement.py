@@ -50,6 +50,7 @@ def best(piece: Workpiece, judge: Judge, say: Callable[[str], None] = lambda tex
     for amplitude in AMPLITUDES:
         moved = piece.vertices + heights(piece, amplitude)[:, None] * piece.normals
         images[amplitude] = judge.render(torch.as_tensor(moved, dtype=torch.float32, device=judge.target.device))
-    scores = {a: row["lpips_alex"] for a, row in judge.scores(images, networks=("alex",)).items()}
+    with torch.no_grad():
+        scores = {amplitude: frame for amplitude, (frame, _) in judge.lpips(images, "alex").items()}
     winner = min(scores, key=scores.get)
     return heights(piece, winner), winner

@@ -96,14 +96,18 @@ class Judge:
                 row["g_ssim"], row["g_ssim_mask"] = ssim(gradients[name], self.target_gradient, self.mask)
                 row |= dict.fromkeys(("lpips_alex", "lpips_vgg", "lpips_mask_alex", "lpips_mask_vgg"))
             for n in networks or self.networks:
-                for name, (frame, inside) in self._lpips(images, self.target, n).items():
+                for name, (frame, inside) in self.lpips(images, n).items():
                     table[name][f"lpips_{n}"], table[name][f"lpips_mask_{n}"] = frame, inside
-            for name, (frame, _) in self._lpips(gradients, self.target_gradient, "alex").items():
+            for name, (frame, _) in self.lpips(gradients, "alex", self.target_gradient).items():
                 table[name]["g_lpips"] = frame
         return table
 
-    def _lpips(self, images: dict[str, Tensor], target: Tensor, network: str) -> dict[str, tuple[float, float]]:
-        """LPIPS over the frame and inside the mask. One view at a time: the features of VGG16 take 70 MB each."""
+    def lpips(
+        self, images: dict[str, Tensor], network: str, target: Tensor | None = None
+    ) -> dict[str, tuple[float, float]]:
+        """LPIPS over the frame and inside the mask, means over the views, against ``target [B,1,H,W]`` (the reference).
+        One view at a time: the features of VGG16 take 70 MB each."""
+        target = self.target if target is None else target
         sums = {name: np.zeros(2) for name in images}
         for i in range(len(target)):
             theirs, mask = features(target[i : i + 1], network), self.mask[i : i + 1]
