@@ -81,7 +81,8 @@ class RefineConfig:
     score_vgg: bool = True
     """Score with VGG16 LPIPS too, which takes as long as a hundred iterations on a small machine."""
     silhouettes: bool = False
-    """Also differentiate moving outlines (projective sampling); slower, and without the geometry terms."""
+    """Also differentiate moving outlines (projective sampling): slower, without the geometry terms, and no better on
+    the chair and the cow of the benchmarks."""
     seed: int = 0
     """Of the random views; the same seed gives the same part."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
