@@ -70,8 +70,14 @@ class RefineConfig:
     """λ of the large-steps preconditioner: higher spreads a step more widely."""
     gradient_floor: float = 5e-4
     """Gradients well below this move the surface in proportion instead of at full steps."""
+    stress: bool = True
+    """Keep the predicted thermal stress down in a second stage."""
+    stress_weight: float = 1.0
+    """Pull of the stress against that of the appearance; 1: both move the surface equally fast at first."""
+    stress_every: int = 5
+    """Iterations from one look at the stress to the next; its gradient is held in between."""
     stage_one_share: float = 0.6
-    """Share of the iterations before stress joins in, where it does."""
+    """Share of the iterations before stress joins in."""
     view_jitter: tuple[float, float] = (30.0, 15.0)
     """Each iteration's view strays from a standard one by up to these degrees of azimuth and elevation."""
     light_jitter: float = 10.0
@@ -113,6 +119,8 @@ class RefineConfig:
         require(self.learning_rate > 0, f"learning-rate must be positive, not {self.learning_rate:g}.")
         require(self.smoothing >= 0, f"smoothing cannot be negative ({self.smoothing:g}).")
         require(self.gradient_floor >= 0, f"gradient-floor cannot be negative ({self.gradient_floor:g}).")
+        require(self.stress_weight >= 0, f"stress-weight cannot be negative ({self.stress_weight:g}): see --no-stress.")
+        require(self.stress_every >= 1, f"stress-every must be at least 1, not {self.stress_every}.")
         require(0 <= self.stage_one_share <= 1, f"stage-one-share must be 0 to 1, not {self.stage_one_share:g}.")
         require(all(0 <= x <= 180 for x in self.view_jitter), f"view-jitter must be 0 to 180, not {self.view_jitter}.")
         require(0 <= self.light_jitter <= 180, f"light-jitter must be 0 to 180, not {self.light_jitter:g}.")
@@ -144,7 +152,7 @@ class RefineConfig:
 
 
 PRESETS: dict[str, RefineConfig] = {
-    "draft": RefineConfig(iterations=40, resolution=256, max_faces=32_000, score_vgg=False),
+    "draft": RefineConfig(iterations=40, resolution=256, max_faces=32_000, score_vgg=False, stress=False),
     "default": RefineConfig(),
     "paper": RefineConfig(iterations=1000, resolution=512, max_faces=300_000, weights=Weights(depth_smoothness=1.0)),
 }

@@ -1,5 +1,7 @@
 """The refinement, from top to bottom: prepare, start, optimise in two stages, untangle, judge, write.
 
+The first stage looks at the appearance alone; the second also keeps predicted thermal stress down.
+
 import genmf_mi
 
 result = genmf_mi.refine("bus.glb", genmf_mi.RefineConfig(size_mm=80))
@@ -10,10 +12,10 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,18 +24,18 @@ from genmf_mi.errors import ConfigError
 from genmf_mi.run import Run
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from genmf_mi.asset import Asset
-    from genmf_mi.geometry.mesh import Relief, UniformAdam
+    from genmf_mi.geometry.mesh import UniformAdam
     from genmf_mi.prepare import Workpiece
+    from genmf_mi.stress.penalty import StressPenalty
 
 CHECKPOINT_EVERY = 25
 """Iterations between checkpoints."""
 WARM_UP, COOL_DOWN = 10, 0.4
 """Iterations over which the step grows to its full size, and the share of all iterations over which it shrinks
 again."""
-
-Penalty = Callable[[Any], dict[str, Any]]
-"""Stage two: from the vertices ``[V,3]`` (torch, normalised frame) to named, weighted terms that join the loss."""
 
 
 class Listener:
@@ -73,7 +75,7 @@ def refine(
     out: str | Path | None = None,
     scene: str | Path | None = None,
     references: tuple[str, ...] = (),
-    stage_two: Penalty | None = None,
+    verify: bool = False,
     force: bool = False,
     resume: bool = False,
     save_exr: bool = False,
@@ -85,7 +87,7 @@ def refine(
     out: folder for all files; None writes nothing.
     scene: a scene file; the sample's own or ``default.xml`` if None.
     references: images to match instead of the texture, each ``image.png@azimuth,elevation``.
-    stage_two: more terms for the second stage, e.g. predicted stress.
+    verify: simulate the stress of the part before, as it would be without the second stage, and after; takes minutes.
     force, resume: replace a run in ``out``, or continue an interrupted one.
 
     A KeyboardInterrupt ends the optimisation early: the part so far is finished and written, and
@@ -119,8 +121,11 @@ def refine(
         seconds["displacement"] = job.lap()
         interrupted = False
         if config.method == "relief":
-            interrupted = job.optimise(run, resume, stage_two)
+            interrupted = job.optimise(run, resume)
         seconds["optimise"] = job.lap()
+        if verify and not interrupted:
+            job.verify()
+            seconds["verify"] = job.lap()
         return job.finish(run, seconds, started, interrupted, save_exr)
 
 
@@ -134,6 +139,7 @@ class _Job:
         listener.say("rendering the references")
         self.judge = Judge(piece.judged_reference, piece.judged_part, piece.reference.views, config.networks)
         self.history: list[dict] = []
+        self.balance, self.fork, self.verdict = 0.0, {}, {}
         self._clock = time.perf_counter()
 
     def lap(self) -> float:
@@ -165,8 +171,8 @@ class _Job:
         if config.method == "relief":
             self.relief.start_from(displacement.start(piece, self.displaced))
 
-    def optimise(self, run: Run | None, resume: bool, stage_two: Penalty | None) -> bool:
-        """Stage one and, where there is a penalty, stage two. Returns whether it was interrupted."""
+    def optimise(self, run: Run | None, resume: bool) -> bool:
+        """Stage one and, unless it is turned off, stage two. Returns whether it was interrupted."""
         from genmf_mi import memory
         from genmf_mi.geometry.mesh import UniformAdam
 
@@ -176,16 +182,14 @@ class _Job:
         if resume:
             state, self.history = run.load()
             first = int(state["iteration"])
-            _restore(state, relief, adam)
-        kept, interrupted, began = _state(first, relief, adam), False, time.perf_counter()
+            self.restore(state, adam)
+        kept, interrupted, began = self.state(first, adam), False, time.perf_counter()
         try:
-            for index in range(first, config.iterations):
-                stage = 2 if stage_two is not None and index >= config.stage_one_share * config.iterations else 1
-                values = self.step(index, adam, stage_two if stage == 2 else None)
+            for index, stage, values in self.steps(first, adam, config.stress):
                 self.history.append(
                     {"iteration": index, "stage": stage, **values, "seconds": round(time.perf_counter() - began, 3)}
                 )
-                kept = _state(index + 1, relief, adam)
+                kept = self.state(index + 1, adam)
                 self.listener.iteration(index, config.iterations, values)
                 if (index + 1) % CHECKPOINT_EVERY == 0:
                     memory.give_back()
@@ -194,7 +198,7 @@ class _Job:
         except KeyboardInterrupt:
             interrupted = True
             # It may have come in the middle of a step
-            _restore(kept, relief, adam)
+            self.restore(kept, adam)
             del self.history[int(kept["iteration"]) :]
             self.listener.say("interrupted: finishing with the relief so far")
         if run:
@@ -202,7 +206,27 @@ class _Job:
         self.offsets = relief.offsets().detach().cpu().numpy().astype(np.float64)
         return interrupted
 
-    def step(self, index: int, adam: UniformAdam, penalty: Penalty | None) -> dict[str, float]:
+    def steps(self, first: int, adam: UniformAdam, constrained: bool) -> Iterator[tuple[int, int, dict[str, float]]]:
+        """Make the iterations from ``first`` on; yields index, stage and losses after each."""
+        stress, config = None, self.config
+        for index in range(first, config.iterations):
+            if constrained and stress is None and index >= config.stage_one_share * config.iterations:
+                self.fork = self.fork or self.state(index, adam)
+                stress = self.stage_two()
+            values = self.step(index, adam, stress)
+            yield index, 1 if stress is None else 2, values
+
+    def stage_two(self) -> StressPenalty:
+        """What tells how far the part's stress is above that of the initial shape."""
+        from genmf_mi.geometry.distance import MeshDistance
+        from genmf_mi.stress.penalty import StressPenalty
+        from genmf_mi.stress.predictor import Predictor
+
+        predictor = Predictor(device=self.device)
+        distance = MeshDistance(self.piece.faces, predictor.settings.grid, every=1)
+        return StressPenalty(predictor, distance, self.relief.base, self.config.stress_every)
+
+    def step(self, index: int, adam: UniformAdam, stress: StressPenalty | None) -> dict[str, float]:
         """One view, one gradient, one step; returns the loss and its terms."""
         from genmf_mi import bridge
         from genmf_mi.losses import objective
@@ -212,16 +236,50 @@ class _Job:
         vertices = self.relief.vertices()
         image = bridge.render(piece.part, [view], vertices, seed=index)
         terms = objective.terms(image, reference, config.weights)
-        loss = objective.total(terms, config.weights)
-        for name, value in (penalty(vertices) if penalty else {}).items():
-            terms[name], loss = value, loss + value
+        loss, told = objective.total(terms, config.weights), {}
+        if stress is not None:
+            penalty, told = stress(vertices)
+            self.balance = self.balance or self.balanced(penalty, adam)
+            loss = loss + config.stress_weight * self.balance * penalty
         loss.backward()
         adam.step(config.learning_rate * _schedule(index, config.iterations))
         return {
             "loss": float(loss.detach()),
             "gradient_scale": adam.scale,
             **{name: float(value.detach()) for name, value in terms.items()},
+            **told,
         }
+
+    def balanced(self, penalty: Tensor, adam: UniformAdam) -> float:
+        """The factor that makes the gradient of ``penalty`` as large as those of the appearance were in stage one, so
+        that one weight does for all objects."""
+        import torch
+
+        from genmf_mi.geometry.mesh import percentile
+
+        (gradient,) = torch.autograd.grad(penalty, self.relief.latent, retain_graph=True)
+        return adam.scale / max(float(percentile(gradient.abs(), 0.99)), 1e-12)
+
+    def verify(self) -> None:
+        """Simulate the part before, without stage two and after, for the report."""
+        from genmf_mi.stress import verdict
+
+        piece, shapes = self.piece, {"before": self.piece.vertices}
+        if self.fork:
+            shapes["unconstrained"] = piece.vertices + self.unconstrained()
+        shapes["after"] = piece.vertices + self.offsets
+        self.verdict = verdict.judge(shapes, piece.faces, piece.frame, self.listener.say)
+
+    def unconstrained(self) -> np.ndarray:
+        """Offsets ``[V,3]`` that the part would have without stage two: stage one carried on to the end."""
+        from genmf_mi.geometry.mesh import UniformAdam
+
+        config = self.config
+        adam = UniformAdam(self.relief.latent, config.learning_rate, floor=config.gradient_floor)
+        self.restore(self.fork, adam)
+        for index, _, values in self.steps(int(self.fork["iteration"]), adam, constrained=False):
+            self.listener.iteration(index, config.iterations, values)
+        return self.relief.offsets().detach().cpu().numpy().astype(np.float64)
 
     def look(self, index: int) -> tuple:
         """The view of iteration ``index`` and what should be seen from it, a function of the seed alone."""
@@ -237,6 +295,32 @@ class _Job:
             turn = rng.uniform(-1, 1, 2) * config.light_jitter
             view = View(view.azimuth + azimuth, view.elevation + elevation, tuple(turn))
         return view, piece.reference.look([view], seed=index)
+
+    def state(self, iteration: int, adam: UniformAdam) -> dict[str, np.ndarray]:
+        """Copies of all that the next iteration depends on."""
+        tensors = {"latent": self.relief.latent.detach(), "first": adam.first, "second": adam.second}
+        return {
+            "iteration": np.array(iteration),
+            "steps": np.array(adam.steps),
+            "balance": np.array(self.balance),
+            **{f"fork_{name}": value for name, value in self.fork.items()},
+            **{name: tensor.cpu().numpy().copy() for name, tensor in tensors.items()},
+        }
+
+    def restore(self, state: dict[str, np.ndarray], adam: UniformAdam) -> None:
+        """Go back to a :meth:`state`. Raises :class:`ConfigError` for that of another mesh."""
+        import torch
+
+        latent = self.relief.latent
+        if state["latent"].shape != tuple(latent.shape):
+            raise ConfigError(
+                "the checkpoint belongs to another mesh: was the asset changed since? Start again with --force."
+            )
+        with torch.no_grad():
+            for tensor, name in ((latent, "latent"), (adam.first, "first"), (adam.second, "second")):
+                tensor.copy_(torch.as_tensor(state[name]))
+        adam.steps, self.balance = int(state["steps"]), float(state["balance"])
+        self.fork = {k.removeprefix("fork_"): v for k, v in state.items() if k.startswith("fork_")} or self.fork
 
     def finish(self, run: Run | None, seconds: dict, started: float, interrupted: bool, save_exr: bool) -> Result:
         """Untangle, measure, write."""
@@ -255,26 +339,3 @@ def _schedule(index: int, count: int) -> float:
     rise = min(1.0, (index + 1) / WARM_UP)
     fall = min(1.0, (count - index) / (COOL_DOWN * count))
     return rise * max(0.1, fall)
-
-
-def _state(iteration: int, relief: Relief, adam: UniformAdam) -> dict[str, np.ndarray]:
-    """Copies of all that the next iteration depends on."""
-    tensors = {"latent": relief.latent.detach(), "first": adam.first, "second": adam.second}
-    return {
-        "iteration": np.array(iteration),
-        "steps": np.array(adam.steps),
-        **{name: tensor.cpu().numpy().copy() for name, tensor in tensors.items()},
-    }
-
-
-def _restore(state: dict[str, np.ndarray], relief: Relief, adam: UniformAdam) -> None:
-    import torch
-
-    if state["latent"].shape != tuple(relief.latent.shape):
-        raise ConfigError(
-            "the checkpoint belongs to another mesh: was the asset changed since? Start again with --force."
-        )
-    with torch.no_grad():
-        for tensor, name in ((relief.latent, "latent"), (adam.first, "first"), (adam.second, "second")):
-            tensor.copy_(torch.as_tensor(state[name]))
-    adam.steps = int(state["steps"])

@@ -271,7 +271,7 @@ class TestInterrupted:
 
     def test_by_a_crash_in_the_middle_of_a_step(self, toy, two_views, twin, tmp_path, monkeypatch):
         """Ctrl-C between the two moments of Adam, then a crash: neither leaves a trace in what follows."""
-        percentile, calls = mesh._percentile, []
+        percentile, calls = mesh.percentile, []
 
         def interrupted(*arguments):
             calls.append(1)
@@ -280,7 +280,7 @@ class TestInterrupted:
             return percentile(*arguments)
 
         with monkeypatch.context() as patch:
-            patch.setattr(mesh, "_percentile", interrupted)
+            patch.setattr(mesh, "percentile", interrupted)
             stopped = genmf_mi.refine(toy, CONFIG, out=tmp_path / "run", scene=two_views)
         assert stopped.metrics["iterations"] == 3
         with pytest.raises(RuntimeError):

@@ -174,16 +174,17 @@ class UniformAdam:
             gradient = torch.nan_to_num(self.parameter.grad, nan=0.0, posinf=0.0, neginf=0.0)
             self.parameter.grad = None
             self.steps += 1
-            limit = 10 * _percentile(gradient.abs(), 0.99)
+            limit = 10 * percentile(gradient.abs(), 0.99)
             gradient.clamp_(-limit, limit)
             self.first.mul_(self.beta1).add_(gradient, alpha=1 - self.beta1)
             self.second.mul_(self.beta2).addcmul_(gradient, gradient, value=1 - self.beta2)
             first = self.first / (1 - self.beta1**self.steps)
-            scale = (_percentile(self.second, 0.99) / (1 - self.beta2**self.steps)).sqrt()
+            scale = (percentile(self.second, 0.99) / (1 - self.beta2**self.steps)).sqrt()
             self.scale = float(scale)
             self.parameter.sub_(first / (scale + self.floor + 1e-20), alpha=self.rate if rate is None else rate)
 
 
-def _percentile(x: Tensor, share: float) -> Tensor:
+def percentile(x: Tensor, share: float) -> Tensor:
+    """The value that ``share`` of the entries of ``x`` do not exceed, a scalar."""
     flat = x.flatten()
     return flat.kthvalue(max(1, int(share * flat.numel()))).values

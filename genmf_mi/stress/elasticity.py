@@ -29,9 +29,15 @@ def soft_clamp(height: np.ndarray, nodal_volume: np.ndarray, modulus_mpa: float,
         nodal_volume: mm³, ``[N]``.
         fraction: δ as a fraction of the height of the body.
     """
-    delta = fraction * np.ptp(height)
-    x = np.clip((height - height.min()) / delta - 0.5, 0.0, 1.0)
-    return modulus_mpa / (delta / 2) ** 2 * (1.0 - x * x * (3.0 - 2.0 * x)) * nodal_volume
+    extent = np.ptp(height)
+    profile = clamp_profile((height - height.min()) / extent, fraction)
+    return modulus_mpa / (fraction * extent / 2) ** 2 * profile * nodal_volume
+
+
+def clamp_profile(height, fraction: float):
+    """w, 0..1, at ``height`` above the base as a fraction of that of the body; an array or a tensor."""
+    x = (height / fraction - 0.5).clip(0.0, 1.0)
+    return 1.0 - x * x * (3.0 - 2.0 * x)
 
 
 def rigid_motions(points: np.ndarray) -> np.ndarray:

@@ -10,6 +10,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from genmf_mi.frame import HALF_EXTENT
+from genmf_mi.stress.cooling import cooled
+from genmf_mi.stress.elasticity import clamp_profile
+from genmf_mi.stress.fem import Settings
+from genmf_mi.stress.materials import material
+
 REACH_CELLS = 4.0
 """Φ is cut off at this many cells outside of the body: what the air is like does not load the part."""
 
@@ -46,6 +52,39 @@ class GeometricGradient(nn.Module):
         gradient = torch.cat(gradient, dim=1)
         length = (gradient.square().sum(dim=1, keepdim=True) + self.SOFT**2).sqrt()
         return torch.cat([phi, gradient / length, laplacian], dim=1)
+
+
+class Physics(nn.Module):
+    """What loads the body and what holds it, Φ ``[B,1,X,Y,Z]`` to ``[B,3,X/side,Y/side,Z/side]``.
+
+    How far the body has cooled (:func:`genmf_mi.stress.cooling.cooled`), the profile of the soft clamp at the base
+    (:func:`genmf_mi.stress.elasticity.clamp_profile`), and the height above the bed in the units of Φ. All for the
+    default protocol, a part of 100 mm and PLA, as in the data set. Base and top are those of the lowest and the highest
+    sample inside, without derivatives.
+    """
+
+    CHANNELS = 3
+
+    def __init__(self, cell: float, side: int) -> None:
+        super().__init__()
+        self.cell, self.side = cell, side
+
+    def forward(self, phi: Tensor) -> Tensor:
+        """Φ float32; the sides are multiples of ``side``."""
+        settings = Settings()
+        with torch.autocast(phi.device.type, enabled=False):
+            cell_mm = self.cell * settings.size_mm / (2 * HALF_EXTENT)
+            cold = cooled(phi, self.cell, self.side, cell_mm, material(settings.material), settings.protocol)
+        inside = (phi <= 0).any(dim=4).any(dim=2)[:, 0]
+        rows = torch.arange(inside.shape[1], device=phi.device)
+        # Half a cell below the lowest sample inside, as the surface is somewhere between it and the next
+        base = torch.where(inside, rows, len(rows)).amin(dim=1, keepdim=True) - 0.5
+        extent = torch.where(inside, rows, -1).amax(dim=1, keepdim=True) + 0.5 - base
+        height = (rows - base).to(phi.dtype)
+        profile = clamp_profile(height / extent.clamp_min(1), settings.protocol.clamp_fraction)
+        columns = torch.stack([profile * (height > 0), self.cell * height], dim=1)[:, :, None, :, None]
+        columns = F.avg_pool3d(columns, (1, self.side, 1), (1, self.side, 1))
+        return torch.cat([cold, columns.expand(-1, -1, cold.shape[2], -1, cold.shape[4])], dim=1)
 
 
 def _neighbours(field: Tensor, axis: int) -> list[Tensor]:

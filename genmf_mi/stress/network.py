@@ -6,10 +6,12 @@
                                                                  pool    up
                                                                  └─ Res3DBlock, SE, + mean ─┘
 
-As in the paper but for two settings that bring the cost down: the body's box is cut out of the grid first
-(:func:`window`), as nine samples in ten are air, and the compact network gathers blocks of 2³ samples into channels
-on the way in and spreads them out on the way out, so that its convolutions run at half the resolution while it
-sees and tells every sample.
+As in the paper but for three settings. The body's box is cut out of the grid first (:func:`window`), as nine samples in
+ten are air. The compact network gathers blocks of 2³ samples into channels on the way in and spreads them out on the
+way out, so that its convolutions run at half the resolution while it sees and tells every sample. And it is given
+three more channels (:class:`~genmf_mi.stress.layers.Physics`): how far the body has cooled, how firmly the bed holds it,
+and the height above the bed. A network of the paper's size may learn these from many shapes; a small one does not
+learn them from a few hundred.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from genmf_mi.errors import ConfigError
 from genmf_mi.stress.layers import (
     GeometricGradient,
     GeometryFusion,
+    Physics,
     Res3DBlock,
     SqueezeExcitation,
     Up,
@@ -47,6 +50,7 @@ class Architecture:
     width: C, channels of the first level; level l has min(2ˡ, 8)·C.
     side: samples along the side of the blocks that become channels; 1 for none.
     poolings: max-poolings, each of which halves the resolution.
+    physics: give the network what loads the body and what holds it, beside what it looks like.
     grid: samples per axis of the grid [-1, 1]³ that Φ comes on.
 
     Raises:
@@ -56,7 +60,7 @@ class Architecture:
     width: int
     side: int = 1
     poolings: int = 4
-    height: bool = False
+    physics: bool = False
     grid: int = 129
 
     def __post_init__(self) -> None:
@@ -76,7 +80,7 @@ class Architecture:
         return [self.width * min(2**level, 8) for level in range(self.poolings + 1)]
 
 
-PRESETS = {"paper": Architecture(56), "compact": Architecture(24, side=2)}
+PRESETS = {"paper": Architecture(56), "compact": Architecture(24, side=2, physics=True)}
 """``paper``: 46.7 M parameters, 3.4 TFLOP forward at 129³. ``compact``: 8.6 M, 92 GFLOP in the largest window and half
 of that in the usual one; 1.2 GB with the backward pass."""
 
@@ -93,7 +97,9 @@ class StressNetwork(nn.Module):
         self.architecture = architecture
         side, channels = architecture.side, architecture.channels
         self.geometry = GeometricGradient(2.0 / (architecture.grid - 1))
-        self.down = nn.ModuleList(map(Res3DBlock, [(5 + architecture.height) * side**3, *channels[:-1]], channels))
+        self.physics = Physics(2.0 / (architecture.grid - 1), side) if architecture.physics else None
+        entering = 5 * side**3 + (Physics.CHANNELS if architecture.physics else 0)
+        self.down = nn.ModuleList(map(Res3DBlock, [entering, *channels[:-1]], channels))
         self.recalibrate = SqueezeExcitation(channels[-1])
         self.up = nn.ModuleList(map(Up, channels[:0:-1], channels[-2::-1]))
         self.fusion = GeometryFusion(channels[0], side)
@@ -108,10 +114,10 @@ class StressNetwork(nn.Module):
         shape = phi.shape[2:]
         rest = [-n % self.architecture.side for n in shape]
         features = self.geometry(F.pad(phi, (0, rest[2], 0, rest[1], 0, rest[0]), mode="replicate"))
-        phi = features[:, :1]
-        if self.architecture.height:
-            features = torch.cat([features, _height(phi, self.geometry.cell)], dim=1)
-        x = self.down[0](to_blocks(features, self.architecture.side))
+        phi, blocks = features[:, :1], to_blocks(features, self.architecture.side)
+        if self.physics is not None:
+            blocks = torch.cat([blocks, self.physics(phi)], dim=1)
+        x = self.down[0](blocks)
         skips = []
         for block in self.down[1:]:
             skips.append(x)
@@ -123,13 +129,6 @@ class StressNetwork(nn.Module):
 
     def settings(self) -> dict:
         return asdict(self.architecture)
-
-
-def _height(phi: Tensor, cell: float) -> Tensor:
-    """Height above the lowest sample inside, in the units of Φ, ``[B,1,X,Y,Z]``."""
-    base = (phi <= 0).any(dim=4).any(dim=2).float().argmax(dim=2)[:, :, None, None, None]
-    rise = torch.arange(phi.shape[3], device=phi.device)[None, None, None, :, None] - base
-    return (cell * rise).to(phi.dtype).expand_as(phi)
 
 
 def network(preset: str, grid: int = 129) -> StressNetwork:

@@ -42,6 +42,8 @@ WARM_UP = 0.02
 """Part of the training over which the learning rate rises."""
 CLIP = 1.0
 """Largest norm of a gradient."""
+FORGIVEN = 5
+"""Steps in a row without a finite gradient after which the training gives up."""
 
 
 class Watcher:
@@ -98,7 +100,7 @@ class _Training:
         torch.manual_seed(config.seed)
         self.net = network(config.preset, self.simulation["grid"]).to(self.device)
         self.optimiser = torch.optim.AdamW(self.net.parameters(), config.rate, weight_decay=config.weight_decay)
-        self.step, self.seconds, self.best, self.since_best = 0, 0.0, math.inf, 0
+        self.step, self.seconds, self.best, self.since_best, self.lost = 0, 0.0, math.inf, 0, 0
         self.best_weights: dict[str, Tensor] = {}
         self.best_scores: dict[str, dict] = {}
         self.log: list[dict] = []
@@ -141,10 +143,14 @@ class _Training:
             loss = metrics.masked_mse(log_stress(self.net, phi, self.bfloat16), target, phi, self.config.tail)
             (loss / self.config.batch).backward()
             total += float(loss.detach())
-        if not math.isfinite(total):
-            raise ConfigError(f"the loss is no number any more at step {self.step}; choose a lower --rate.")
-        torch.nn.utils.clip_grad_norm_(self.net.parameters(), CLIP)
-        self.optimiser.step()
+        norm = float(torch.nn.utils.clip_grad_norm_(self.net.parameters(), CLIP))
+        if math.isfinite(total) and math.isfinite(norm):
+            self.optimiser.step()
+            self.lost = 0
+        else:  # a rare overflow of bfloat16 costs its step and no more
+            self.lost += 1
+            if self.lost == FORGIVEN:
+                raise ConfigError(f"the loss is no number any more at step {self.step}; choose a lower --rate.")
         self.optimiser.zero_grad()
         return total / self.config.batch, rate
 

@@ -1,0 +1,56 @@
+"""What the solver says of a refinement: the same simulation of the part before, without the stress stage, and after."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from genmf_mi.frame import Frame
+from genmf_mi.stress import distance, fem
+from genmf_mi.stress.comparison import layer_ratio, ratios
+from genmf_mi.stress.statistics import summary
+
+EDGE_MM = 1.2
+"""Side of the lattice that the tetrahedra come from, on a part of 100 mm: what relief needs."""
+
+
+def judge(
+    shapes: dict[str, np.ndarray], faces: np.ndarray, frame: Frame, say: Callable[[str], None] = lambda text: None
+) -> dict:
+    """Simulate shapes of one topology, ``[V,3]`` each in the normalised frame, and compare them.
+
+    Args:
+        shapes: ``before``, ``after``, and ``unconstrained`` if there was a stress stage.
+        faces: ``[F,3]``.
+
+    Returns:
+        ``shapes``: :func:`genmf_mi.stress.statistics.summary` of each. ``ratio``: each over ``before``, see
+        :func:`genmf_mi.stress.comparison.ratios`, and ``constrained``: after over unconstrained. ``remains``: the
+        share of the increase from before to unconstrained that is left after, None where there was no increase.
+
+    Raises:
+        SolidError, SolveError: as :func:`genmf_mi.stress.fem.simulate`.
+    """
+    settings = fem.Settings(size_mm=frame.size_mm, edge_mm=EDGE_MM * frame.size_mm / 100.0)
+    simulations = {}
+    for name, vertices in shapes.items():
+        say(f"simulating the stress: {name}")
+        phi = distance.signed_distance(vertices, faces, settings.grid)
+        lost = distance.lost_fraction(vertices, faces, phi)
+        simulations[name] = fem.simulate_distance(phi, frame, settings, fem.Laps(), lost)
+    summaries = {name: summary(simulation) for name, simulation in simulations.items()}
+    before = simulations["before"]
+    verdict: dict = {"shapes": summaries, "ratio": {}, "remains": None}
+    for name in list(shapes)[1:]:
+        layer = layer_ratio(before, simulations[name])
+        verdict["ratio"][name] = {**ratios(summaries["before"], summaries[name]), "surface_layer_mean": layer}
+    if "unconstrained" in shapes:
+        without, after = verdict["ratio"]["unconstrained"], verdict["ratio"]["after"]
+        verdict["ratio"]["constrained"] = {name: after[name] / without[name] for name in after if without[name]}
+        verdict["remains"] = {name: _remains(without[name], after[name]) for name in after if without[name]}
+    return verdict
+
+
+def _remains(without: float, after: float) -> float | None:
+    return (after - 1) / (without - 1) if without > 1 else None
