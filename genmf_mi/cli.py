@@ -17,7 +17,7 @@ from typing import Literal
 import tyro
 
 from genmf_mi.config import PRESETS, RefineConfig
-from genmf_mi.errors import GenmfError
+from genmf_mi.errors import ConfigError, GenmfError
 
 INTERRUPTED = 130
 
@@ -29,6 +29,7 @@ USAGE = """genmf-mi: turn a textured 3D asset into a one-colour part whose relie
   genmf-mi refine ASSET       refine a file or a bundled sample; writes to runs/NAME
   genmf-mi evaluate A B       score a one-colour shape B against the textured asset A
   genmf-mi batch FILES ...    refine many assets, one after the other
+  genmf-mi sweep ASSET        what a lower thermal stress costs in appearance
   genmf-mi scene ASSET        print a scene file to edit and use with --scene
   genmf-mi samples            write the bundled samples as GLB files
   genmf-mi stress ...         thermal stress by finite elements
@@ -57,6 +58,7 @@ def main(arguments: list[str] | None = None) -> int:
         "refine": _refine,
         "evaluate": _evaluate,
         "batch": _batch,
+        "sweep": _sweep,
         "scene": _scene,
         "samples": _samples,
         "stress": _stress,
@@ -100,6 +102,8 @@ class Refine:
     """A scene file (see `genmf-mi scene`)."""
     reference: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """image.png@azimuth,elevation to match instead of the texture; may be given several times."""
+    verify: Switch = False
+    """Simulate the thermal stress before, without the stress stage and after; takes minutes."""
     force: Switch = False
     """Replace the run in the folder."""
     resume: Switch = False
@@ -111,11 +115,15 @@ class Refine:
     config: RefineConfig = field(default_factory=RefineConfig)
 
 
-def _refine(arguments: list[str]) -> int:
+def _chosen(arguments: list[str]) -> Refine:
     default = Refine(asset=tyro.MISSING, config=_preset(arguments))
-    chosen = tyro.cli(
+    return tyro.cli(
         Refine, prog="genmf-mi refine", args=arguments, default=default, config=(tyro.conf.OmitArgPrefixes,)
     )
+
+
+def _refine(arguments: list[str]) -> int:
+    chosen = _chosen(arguments)
     from genmf_mi.progress import run_refine
 
     return run_refine(
@@ -125,6 +133,7 @@ def _refine(arguments: list[str]) -> int:
         quiet=chosen.quiet,
         scene=chosen.scene,
         references=tuple(chosen.reference),
+        verify=chosen.verify,
         force=chosen.force,
         resume=chosen.resume,
         save_exr=chosen.save_exr,
@@ -148,6 +157,53 @@ def _batch(arguments: list[str]) -> int:
     from genmf_mi.batch import batch
 
     return _parse(batch, "batch", arguments)
+
+
+def _sweep(arguments: list[str]) -> int:
+    return _parse(sweep, "sweep", arguments)
+
+
+def sweep(
+    asset: tyro.conf.Positional[str],
+    stress_weight: str = "0,0.3,1,3,10",
+    out: Path | None = None,
+    arguments: str = "",
+    force: bool = False,
+) -> int:
+    """Refine an asset with several weights of the stress, and simulate each result by finite elements.
+
+    Run it again to go on after an interruption: finished runs are skipped, interrupted ones resumed. Writes sweep.json
+    and sweep.png, the trade-off between appearance and stress, and a folder for each run.
+
+    Args:
+        asset: A file, or the name of a bundled sample.
+        stress_weight: Weights to try, with commas between. 0 stands for no stress stage and is always among them.
+        out: Folder for the results; runs/NAME-sweep if not given.
+        arguments: More arguments for `genmf-mi refine`, as in --arguments="--size-mm 80 --preset draft".
+        force: Replace the runs in the folder.
+    """
+    from shlex import split
+
+    from genmf_mi.progress import run_sweep
+
+    try:
+        weights = tuple(map(float, stress_weight.split(",")))
+    except ValueError:
+        raise ConfigError(f"--stress-weight takes numbers such as 0,1,3, not {stress_weight!r}.") from None
+    chosen = _chosen([asset, *split(arguments)])
+    if chosen.out or chosen.force or chosen.resume:
+        raise ConfigError("--arguments cannot hold --out, --force or --resume: give them to the sweep itself.")
+    return run_sweep(
+        chosen.asset,
+        weights,
+        chosen.config,
+        out=out,
+        quiet=chosen.quiet,
+        scene=chosen.scene,
+        references=tuple(chosen.reference),
+        save_exr=chosen.save_exr,
+        force=force,
+    )
 
 
 def _scene(arguments: list[str]) -> int:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from genmf_mi import sweep
 from genmf_mi.config import RefineConfig
 from genmf_mi.refine import Listener, refine
+from genmf_mi.report import tables
+from genmf_mi.report.tables import TextTable
 
-SHOWN = ("loss", "grey_lpips", "structure", "teacher_depth")
+SHOWN = ("loss", "grey_lpips", "structure", "teacher_depth", "stress_band")
 COLUMNS = (
     ("SSIM", "ssim"),
     ("LPIPS", "lpips_alex"),
@@ -39,13 +42,16 @@ class Terminal(Listener):
             transient=True,
         )
         self.task = self.progress.add_task("starting", total=None)
+        self.heading = ""
 
     def say(self, text: str) -> None:
-        self.progress.update(self.task, description=text, total=None, completed=0)
+        self.progress.update(self.task, description=self.heading + text, total=None, completed=0)
 
     def iteration(self, index: int, count: int, terms: dict[str, float]) -> None:
         losses = "  ".join(f"{name} {terms[name]:.3f}" for name in SHOWN if name in terms)
-        self.progress.update(self.task, description=f"refining  {losses}", total=count, completed=index + 1)
+        self.progress.update(
+            self.task, description=f"{self.heading}refining  {losses}", total=count, completed=index + 1
+        )
 
 
 def run_refine(asset: str, config: RefineConfig, *, out: Path | None, quiet: bool, **options) -> int:
@@ -58,6 +64,8 @@ def run_refine(asset: str, config: RefineConfig, *, out: Path | None, quiet: boo
         with terminal.progress:
             result = refine(asset, config, out=out, listener=terminal, **options)
     print_table(result.metrics)
+    if stress := tables.stress(result.metrics):
+        print_cells("thermal stress by finite elements", stress)
     relief, solid = result.metrics["relief_mm"], result.metrics["solid"]
     print(
         f"relief: at most {relief['max']:.2f} mm, mean {relief['mean']:.2f} mm; "
@@ -65,10 +73,28 @@ def run_refine(asset: str, config: RefineConfig, *, out: Path | None, quiet: boo
         f"{solid['self_intersections']} self-intersections; {result.metrics['seconds']['total']:.0f} s"
     )
     if result.metrics["interrupted"]:
-        print(
-            f"interrupted after {result.metrics['iterations']} iterations: the part so far. Continue with --resume."
-        )
+        print(f"interrupted after {result.metrics['iterations']} iterations: the part so far. Continue with --resume.")
     print(f"print {out / 'refined.3mf'}, look at {out / 'report.html'}")
+    return 0
+
+
+def run_sweep(
+    asset: str, weights: tuple[float, ...], config: RefineConfig, *, out: Path | None, quiet: bool, **options
+) -> int:
+    """``genmf-mi sweep``: one refinement per weight with progress, then the table."""
+    out = out or Path("runs") / f"{Path(asset).stem}-sweep"
+    if quiet:
+        found = sweep.sweep(asset, weights, config, out=out, **options)
+    else:
+        terminal = Terminal()
+
+        def begin(weight: float) -> None:
+            terminal.heading = f"stress weight {weight:g}: "
+
+        with terminal.progress:
+            found = sweep.sweep(asset, weights, config, out=out, listener=terminal, begin=begin, **options)
+    print_cells(f"{found['asset']}: appearance and thermal stress by finite elements", sweep.table(found))
+    print(f"numbers in {out / sweep.SUMMARY}, picture in {out / sweep.PICTURE}")
     return 0
 
 
@@ -106,9 +132,22 @@ def print_table(metrics: dict) -> None:
     for title, _ in COLUMNS:
         table.add_column(title, justify="right")
     for prefix, block in (("", metrics), ("unseen: ", metrics.get("unseen") or {})):
-        for row in ("before", "displacement", "after"):
+        for row in ("before", "displacement", "unconstrained", "after"):
             if row in block:
                 values = [block[row].get(key) for _, key in COLUMNS]
                 table.add_row(prefix + row, *("–" if v is None else f"{v:.4f}" for v in values))
         table.add_section()
+    Console().print(table)
+
+
+def print_cells(title: str, cells: TextTable) -> None:
+    """Cells that are text already, numbers to the right."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    for i, column in enumerate(cells.columns):
+        table.add_column(column, justify="right" if i else "left")
+    for row in cells.rows:
+        table.add_row(*row)
     Console().print(table)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 
 CHECKPOINT_EVERY = 25
 """Iterations between checkpoints."""
+SHAPES = ("before", "unconstrained", "after")
+"""What can be verified."""
 WARM_UP, COOL_DOWN = 10, 0.4
 """Iterations over which the step grows to its full size, and the share of all iterations over which it shrinks
 again."""
@@ -75,7 +77,7 @@ def refine(
     out: str | Path | None = None,
     scene: str | Path | None = None,
     references: tuple[str, ...] = (),
-    verify: bool = False,
+    verify: bool | Collection[str] = False,
     force: bool = False,
     resume: bool = False,
     save_exr: bool = False,
@@ -87,7 +89,8 @@ def refine(
     out: folder for all files; None writes nothing.
     scene: a scene file; the sample's own or ``default.xml`` if None.
     references: images to match instead of the texture, each ``image.png@azimuth,elevation``.
-    verify: simulate the stress of the part before, as it would be without the second stage, and after; takes minutes.
+    verify: simulate the stress of the part ``before``, as it would be without the second stage (``unconstrained``), and
+        ``after``, or of some of these by name; takes minutes.
     force, resume: replace a run in ``out``, or continue an interrupted one.
 
     A KeyboardInterrupt ends the optimisation early: the part so far is finished and written, and
@@ -124,7 +127,7 @@ def refine(
             interrupted = job.optimise(run, resume)
         seconds["optimise"] = job.lap()
         if verify and not interrupted:
-            job.verify()
+            job.verify(SHAPES if verify is True else verify)
             seconds["verify"] = job.lap()
         return job.finish(run, seconds, started, interrupted, save_exr)
 
@@ -140,6 +143,7 @@ class _Job:
         self.judge = Judge(piece.judged_reference, piece.judged_part, piece.reference.views, config.networks)
         self.history: list[dict] = []
         self.balance, self.fork, self.verdict = 0.0, {}, {}
+        self.without_stress: np.ndarray | None = None
         self._clock = time.perf_counter()
 
     def lap(self) -> float:
@@ -260,14 +264,16 @@ class _Job:
         (gradient,) = torch.autograd.grad(penalty, self.relief.latent, retain_graph=True)
         return adam.scale / max(float(percentile(gradient.abs(), 0.99)), 1e-12)
 
-    def verify(self) -> None:
-        """Simulate the part before, without stage two and after, for the report."""
+    def verify(self, names: Collection[str]) -> None:
+        """Simulate the part before, without stage two and after, as far as they are named, for the report."""
         from genmf_mi.stress import verdict
 
         piece, shapes = self.piece, {"before": self.piece.vertices}
-        if self.fork:
-            shapes["unconstrained"] = piece.vertices + self.unconstrained()
+        if self.fork and "unconstrained" in names:
+            self.without_stress = self.unconstrained()
+            shapes["unconstrained"] = piece.vertices + self.without_stress
         shapes["after"] = piece.vertices + self.offsets
+        shapes = {name: shape for name, shape in shapes.items() if name in names}
         self.verdict = verdict.judge(shapes, piece.faces, piece.frame, self.listener.say)
 
     def unconstrained(self) -> np.ndarray:

@@ -49,11 +49,11 @@ def conclude(
 
     piece, say = job.piece, job.listener.say
     refined = piece.vertices + offsets
-    displaced = piece.vertices + job.displaced[:, None] * piece.normals
-    shapes = {
-        name: torch.as_tensor(points, dtype=torch.float32, device=job.device)
-        for name, points in (("before", piece.vertices), ("displacement", displaced), ("after", refined))
-    }
+    points = {"before": piece.vertices, "displacement": piece.vertices + job.displaced[:, None] * piece.normals}
+    if job.without_stress is not None:
+        points["unconstrained"] = piece.vertices + job.without_stress
+    points["after"] = refined
+    shapes = {name: torch.as_tensor(p, dtype=torch.float32, device=job.device) for name, p in points.items()}
     relief_mm = np.einsum("vk,vk->v", offsets, piece.normals) * piece.frame.mm_per_unit
 
     table = scores(job, shapes)
@@ -74,6 +74,7 @@ def conclude(
         "cap_mm": piece.cap_mm,
         "displacement_amplitude": job.amplitude,
         "solid": {**piece.report, **tangles, **fabricate.check(part_mm, piece.faces)},
+        **({"stress": job.verdict} if job.verdict else {}),
         "iterations": len(job.history),
         "interrupted": interrupted,
     }

@@ -43,12 +43,7 @@ class Run:
         if resume:
             if not interrupted:
                 raise OutputError(f"{folder} holds no interrupted run. Start one without --resume.")
-            before = run.settings()
-            changed = sorted(k for k in settings if before.get(k) != settings[k] and k != "device")
-            if changed:
-                raise ConfigError(
-                    f"the run in {folder} was started with another {', '.join(changed)}. Use the same, or --force."
-                )
+            run.require(settings)
             return run
         # Settings alone are of a run that failed before it had anything to lose
         if (interrupted or finished) and not force:
@@ -60,6 +55,15 @@ class Run:
         for name in (HISTORY, CHECKPOINT, METRICS):
             (run.folder / name).unlink(missing_ok=True)
         return run
+
+    def require(self, settings: dict) -> None:
+        """Raises :class:`ConfigError` if the run was started with others; where it computes does not count."""
+        before = self.settings()
+        changed = sorted(k for k in settings if before.get(k) != settings[k] and k != "device")
+        if changed:
+            raise ConfigError(
+                f"the run in {self.folder} was started with another {', '.join(changed)}. Use the same, or --force."
+            )
 
     def settings(self) -> dict:
         """The contents of ``config.yaml``. Raises :class:`OutputError` if they are not settings."""

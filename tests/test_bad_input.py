@@ -218,7 +218,7 @@ def test_disk_full_while_writing(capsys, monkeypatch, two_views, full_disk):
             written(*arguments)
 
     small = ["--iterations", "3", "--resolution", "96", "--max-faces", "3000", "--edge-mm", "4", "--device", "cpu"]
-    arguments = ["refine", *toy(*small, "--no-score-vgg", "--scene", str(two_views), "--quiet")]
+    arguments = ["refine", *toy(*small, "--no-score-vgg", "--no-stress", "--scene", str(two_views), "--quiet")]
     with monkeypatch.context() as patch:
         patch.setattr(fabricate, "_write_3mf", full)
         assert cli.main(arguments) == 2

@@ -19,7 +19,7 @@ from genmf_mi import batch, cli, displacement, evaluate, progress, scene, target
 from genmf_mi.config import PRESETS, RefineConfig
 
 HEAVY = {"mitsuba", "drjit", "torch", "pymeshlab", "matplotlib", "igl"}
-COMMANDS = ("refine", "evaluate", "batch", "scene", "samples", "stress", "weights", "doctor")
+COMMANDS = ("refine", "evaluate", "batch", "sweep", "scene", "samples", "stress", "weights", "doctor")
 
 
 pytestmark = pytest.mark.usefixtures("workplace")
@@ -89,8 +89,8 @@ class TestSettings:
     def test_defaults(self, chosen):
         asset, config, options = chosen("bus.glb")
         assert (asset, config) == ("bus.glb", RefineConfig())
-        assert options == {"out": None, "quiet": False, "scene": None, "references": (), "force": False,
-                           "resume": False, "save_exr": False}  # fmt: skip
+        assert options == {"out": None, "quiet": False, "scene": None, "references": (), "verify": False,
+                           "force": False, "resume": False, "save_exr": False}  # fmt: skip
 
     @pytest.mark.parametrize("preset", PRESETS)
     @pytest.mark.parametrize("form", ["--preset {}", "--preset={}"])
@@ -108,7 +108,7 @@ class TestSettings:
                                  method="displacement", silhouettes=True, device="cpu")  # fmt: skip
 
     @pytest.mark.parametrize("preset", PRESETS)
-    @pytest.mark.parametrize("name", ["score_vgg", "silhouettes"])
+    @pytest.mark.parametrize("name", ["score_vgg", "silhouettes", "stress"])
     def test_switches_of_any_preset_both_ways(self, chosen, preset, name):
         flag = name.replace("_", "-")
         for word, value in ((f"--{flag}", True), (f"--no-{flag}", False)):
@@ -121,9 +121,10 @@ class TestSettings:
 
     def test_everything_else(self, chosen):
         _, _, options = chosen("bus.glb", "--out", "here", "--scene", "my.xml", "--reference", "a.png@0,10",
-                               "--reference", "b.png@-90,5", "--force", "--save-exr", "--quiet")  # fmt: skip
+                               "--reference", "b.png@-90,5", "--verify", "--force", "--save-exr",
+                               "--quiet")  # fmt: skip
         assert options == {"out": Path("here"), "quiet": True, "scene": Path("my.xml"), "force": True, "resume": False,
-                           "references": ("a.png@0,10", "b.png@-90,5"), "save_exr": True}  # fmt: skip
+                           "references": ("a.png@0,10", "b.png@-90,5"), "verify": True, "save_exr": True}  # fmt: skip
         assert chosen("bus.glb", "--resume")[2]["resume"]
 
     @pytest.mark.parametrize(
@@ -140,7 +141,7 @@ class TestSettings:
 
 
 SMALL = ["--iterations", "3", "--resolution", "96", "--max-faces", "3000", "--edge-mm", "4", "--device", "cpu",
-         "--no-score-vgg"]  # fmt: skip
+         "--no-score-vgg", "--no-stress"]  # fmt: skip
 
 
 @pytest.mark.usefixtures("lpips_weights")

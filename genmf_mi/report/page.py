@@ -67,7 +67,7 @@ def render(report: Report) -> str:
     environment.filters["label"] = tables.label
     environment.filters["text"] = tables.text
     environment.filters["short"] = lambda value: f"{value:.3g}"
-    comparisons, other = tables.compare(report.metrics)
+    comparisons, other = tables.compare({key: value for key, value in report.metrics.items() if key != "stress"})
     mesh = packing.pack(report)
     drawn = curves.curves(report.history)
     return environment.from_string(_file("page.html")).render(
@@ -79,6 +79,7 @@ def render(report: Report) -> str:
         views=[(view.label, _figures(view, report.cap_mm)) for view in report.views],
         comparisons=comparisons,
         other_metrics=other,
+        stress=tables.stress(report.metrics),
         curves=drawn,
         plot=(curves.WIDTH, curves.HEIGHT),
         samples=_samples(report.history, [curve.name for curve in drawn]),
@@ -160,7 +161,7 @@ def notes(report: Report) -> list[str]:
 
 
 def _comparison_tile(name: str, flat: dict, group: str, metric: str) -> Tile:
-    before, between, after = (flat.get(f"{group}{state}.{metric}") for state in tables.STATES)
+    before, between, after = (flat.get(f"{group}{state}.{metric}") for state in ("before", "displacement", "after"))
     change = tables.change(metric, before, after)
     good = {"better": True, "worse": False}.get(change.rsplit(" ", 1)[-1])
     return Tile(name, f"{_four(before)} → {_four(after)}", [change, f"luminance displacement: {_four(between)}"], good)

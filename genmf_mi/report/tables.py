@@ -12,7 +12,14 @@ import numpy as np
 DASH = "–"
 """What stands for a value that was not measured."""
 
-STATES = ("before", "displacement", "after")
+STATES = ("before", "displacement", "unconstrained", "after")
+STRESSES = (
+    ("p99_9", "“max” (99.9 % are below), MPa", ("von_mises_mpa", "p99_9")),
+    ("mean", "mean of the whole body, MPa", ("von_mises_mpa", "mean")),
+    ("surface_band_mean", "mean of the surface band, MPa", ("surface_band", "mean")),
+    ("surface_band_p99_9", "“max” of the surface band, MPa", ("surface_band", "p99_9")),
+)
+"""Names among the ratios of a verdict, for people, and where each stands in a summary of stress."""
 
 _WORDS = {
     "ssim": "SSIM",
@@ -29,6 +36,9 @@ _WORDS = {
     "self_intersections_asset": "self-intersections in the file",
     "self_intersections_before": "self-intersections before refining",
     "self_intersections": "self-intersections",
+    "stress_mean": "predicted stress, mean (1: before)",
+    "stress_variance": "predicted stress, variance (1: before)",
+    "stress_band": "predicted stress, surface band (1: before)",
 }
 _UNITS = {"mm": "mm", "mm2": "mm²", "mm3": "mm³", "seconds": "s", "s": "s", "deg": "°", "mb": "MB"}
 
@@ -45,6 +55,14 @@ class Comparison:
     title: str
     states: list[str]
     rows: list[tuple[str, list[str], str]]
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """Titles of the columns, and rows of as many cells, the name of the row first."""
+
+    columns: list[str]
+    rows: list[list[str]]
 
 
 def flatten(nested: object, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], object]]:
@@ -118,6 +136,45 @@ def compare(metrics: dict) -> tuple[list[Comparison], list[tuple[str, str]]]:
             group = path[:state] + path[state + 1 : -1]
             groups.setdefault(group, {}).setdefault(path[-1], {})[path[state]] = value
     return [_comparison(group, table) for group, table in groups.items()], rest
+
+
+def stress(metrics: dict) -> TextTable | None:
+    """What the solver says of a run (:func:`genmf_mi.stress.verdict.judge`) next to LPIPS; None if it was not asked."""
+    verdict = metrics.get("stress") or {}
+    if "ratio" not in verdict:
+        return None
+    titles = {"before": "Before", "unconstrained": "Without stress stage", "after": "Refined"}
+    shapes = [name for name in titles if name in verdict["shapes"]]
+    compared = "constrained" in verdict["ratio"]
+    rows = []
+    for key, name, (group, quantity) in STRESSES:
+        row = [name]
+        for shape in shapes:
+            ratio = verdict["ratio"].get(shape, {}).get(key)
+            row.append(f"{verdict['shapes'][shape][group][quantity]:.3f}" + (f" (× {ratio:.2f})" if ratio else ""))
+        if compared:
+            remains = verdict["remains"].get(key)
+            row += [_times(verdict["ratio"]["constrained"].get(key)), DASH if remains is None else f"{remains:.0%}"]
+        rows.append(row)
+    seen = {shape: metrics.get(shape, {}).get("lpips_alex") for shape in shapes}
+    row = [label("lpips_alex"), *(_cell("lpips_alex", seen[shape]) for shape in shapes)]
+    if compared:
+        kept = kept_gain(seen["before"], seen["unconstrained"], seen["after"])
+        row += [
+            _times(seen["after"] / seen["unconstrained"] if seen["unconstrained"] else None),
+            DASH if kept is None else f"{kept:.0%} of the gain",
+        ]
+    columns = ["", *(titles[shape] for shape in shapes)]
+    return TextTable(columns + (["Refined / without", "Increase that remains"] if compared else []), [*rows, row])
+
+
+def kept_gain(before: float, unconstrained: float, after: float) -> float | None:
+    """The share of the gain in LPIPS that the stress stage leaves; None where there was no gain."""
+    return (before - after) / (before - unconstrained) if unconstrained < before else None
+
+
+def _times(ratio: float | None) -> str:
+    return DASH if ratio is None else f"× {ratio:.2f}"
 
 
 def _comparison(group: tuple[str, ...], table: dict[str, dict[str, object]]) -> Comparison:

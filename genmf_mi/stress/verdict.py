@@ -21,13 +21,14 @@ def judge(
     """Simulate shapes of one topology, ``[V,3]`` each in the normalised frame, and compare them.
 
     Args:
-        shapes: ``before``, ``after``, and ``unconstrained`` if there was a stress stage.
+        shapes: some of ``before``, ``unconstrained`` (without the stress stage) and ``after``.
         faces: ``[F,3]``.
 
     Returns:
         ``shapes``: :func:`genmf_mi.stress.statistics.summary` of each. ``ratio``: each over ``before``, see
         :func:`genmf_mi.stress.comparison.ratios`, and ``constrained``: after over unconstrained. ``remains``: the
-        share of the increase from before to unconstrained that is left after, None where there was no increase.
+        share of the increase from before to unconstrained that is left after, None where there was no increase. What
+        lacks a shape is left out.
 
     Raises:
         SolidError, SolveError: as :func:`genmf_mi.stress.fem.simulate`.
@@ -40,17 +41,28 @@ def judge(
         lost = distance.lost_fraction(vertices, faces, phi)
         simulations[name] = fem.simulate_distance(phi, frame, settings, fem.Laps(), lost)
     summaries = {name: summary(simulation) for name, simulation in simulations.items()}
-    before = simulations["before"]
-    verdict: dict = {"shapes": summaries, "ratio": {}, "remains": None}
-    for name in list(shapes)[1:]:
-        layer = layer_ratio(before, simulations[name])
-        verdict["ratio"][name] = {**ratios(summaries["before"], summaries[name]), "surface_layer_mean": layer}
-    if "unconstrained" in shapes:
-        without, after = verdict["ratio"]["unconstrained"], verdict["ratio"]["after"]
-        verdict["ratio"]["constrained"] = {name: after[name] / without[name] for name in after if without[name]}
-        verdict["remains"] = {name: _remains(without[name], after[name]) for name in after if without[name]}
+    verdict: dict = {"shapes": summaries}
+    if "before" in shapes:
+        verdict["ratio"] = {
+            name: {
+                **ratios(summaries["before"], summaries[name]),
+                "surface_layer_mean": layer_ratio(simulations["before"], simulations[name]),
+            }
+            for name in shapes
+            if name != "before"
+        }
+    if {"before", "unconstrained", "after"} <= set(shapes):
+        verdict["ratio"]["constrained"], verdict["remains"] = effect(
+            verdict["ratio"]["unconstrained"], verdict["ratio"]["after"]
+        )
     return verdict
 
 
-def _remains(without: float, after: float) -> float | None:
-    return (after - 1) / (without - 1) if without > 1 else None
+def effect(unconstrained: dict, after: dict) -> tuple[dict[str, float], dict[str, float | None]]:
+    """``constrained`` and ``remains`` of :func:`judge`, from the ratios of either part over the one before."""
+    names = [name for name in after if unconstrained[name] and after[name]]
+    constrained = {name: after[name] / unconstrained[name] for name in names}
+    remains = {
+        name: (after[name] - 1) / (unconstrained[name] - 1) if unconstrained[name] > 1 else None for name in names
+    }
+    return constrained, remains
