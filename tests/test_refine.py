@@ -23,6 +23,8 @@ from genmf_mi.errors import AssetError, ConfigError, OutputError, SetupError
 from genmf_mi.geometry import mesh
 from genmf_mi.refine import Listener
 from genmf_mi.run import CHECKPOINT
+from genmf_mi.stress import verdict
+from genmf_mi.stress.fem import Settings
 
 SCORES = {"ssim", "lpips_alex", "lpips_vgg", "g_ssim", "g_lpips"}
 TOLERANCE_MM = 2e-3
@@ -64,7 +66,7 @@ def _small(lpips_weights):
 
 
 CONFIG = genmf_mi.RefineConfig(iterations=6, resolution=96, samples=4, max_faces=6000, edge_mm=3.0, score_vgg=False,
-                               device="cpu")  # fmt: skip
+                               stress=False, device="cpu")  # fmt: skip
 
 
 class Recorder(Listener):
@@ -319,35 +321,94 @@ class TestNoRelief:
         assert result.metrics["after"]["ssim"] == pytest.approx(result.metrics["before"]["ssim"], abs=1e-4)
 
 
-class TestWays:
-    def test_stage_two(self, toy, two_views, twin):
-        """The hook is called from its share on, its terms are in the loss and in the history, its gradient arrives."""
-        seen = []
+class Waves:
+    """Instead of the network: a stress that is high in stripes across x, whatever the shape."""
 
-        def pull(vertices: torch.Tensor) -> dict[str, torch.Tensor]:
-            seen.append(vertices)
-            return {"pull": -3000 * (vertices * detail).sum(dim=1).mean()}
+    settings, looks = Settings(grid=33), 0
 
-        # A pattern that so coarse a mesh can follow
-        start = genmf_mi.refine(toy, replace(CONFIG, iterations=0), scene=two_views)
-        base = start.vertices - start.vertices.mean(axis=0)
-        outward = base / np.linalg.norm(base, axis=1, keepdims=True)
-        pattern = np.sign(np.sin(8 * outward[:, :1]))
-        detail = torch.tensor(pattern * outward, dtype=torch.float32)
+    def __init__(self, device: str) -> None:
+        pass
 
-        result = genmf_mi.refine(toy, replace(CONFIG, stage_one_share=0.5), scene=two_views, stage_two=pull)
-        assert len(seen) == 3
-        assert all(v.requires_grad and v.shape == result.vertices.shape for v in seen)
+    def field(self, phi: torch.Tensor, box: tuple[slice, slice, slice]) -> torch.Tensor:
+        Waves.looks += 1
+        stripes = 1 + 0.5 * torch.sin(8 * torch.linspace(-1, 1, 33))
+        return stripes[:, None, None].expand(phi.shape)
+
+
+class TestStress:
+    CONFIG = replace(CONFIG, stress=True, stress_weight=10.0, stage_one_share=0.5)
+
+    @pytest.fixture(autouse=True)
+    def _stub(self, monkeypatch):
+        monkeypatch.setattr("genmf_mi.stress.predictor.Predictor", Waves)
+        monkeypatch.setattr(verdict, "EDGE_MM", 8.0)
+        monkeypatch.setattr(Waves, "looks", 0)
+
+    def test_second_stage(self, toy, two_views, twin):
+        """From its share on, looked at every other iteration; in the loss, in the history, and in the shape."""
+        result = genmf_mi.refine(toy, replace(self.CONFIG, stress_every=2), scene=two_views)
+        assert Waves.looks == 1 + 2
+        terms = {"stress_mean", "stress_variance", "stress_band"}
         assert [line["stage"] for line in result.history] == [1, 1, 1, 2, 2, 2]
-        assert [("pull" in line) for line in result.history] == [False] * 3 + [True] * 3
-        for line in result.history[3:]:
-            terms = {k: v for k, v in line.items() if k in vars(CONFIG.weights)}
-            weighted = sum(getattr(CONFIG.weights, name) * value for name, value in terms.items())
-            assert line["loss"] == pytest.approx(weighted + line["pull"], rel=1e-4)
-        follow = [(r.relief_mm * pattern[:, 0]).mean() for r in (twin, result)]
-        assert follow[1] > follow[0] + 0.02
+        assert [terms <= set(line) for line in result.history] == [False] * 3 + [True] * 3
+        told = [{name: line[name] for name in terms} for line in result.history[3:]]
+        assert told[0] == told[1] != told[2]
+        rest = [
+            line["loss"] - sum(w * line[name] for name, w in vars(CONFIG.weights).items() if name in line)
+            for line in result.history
+        ]
+        assert rest[:3] == pytest.approx([0] * 3, abs=1e-4)
+        factor = [one / sum(values.values()) for one, values in zip(rest[3:], told)]
+        assert factor[2] == pytest.approx(factor[0], rel=1e-3) and factor[0] > 0, "one balance for all of the stage"
+        waves = np.sin(8 * result.vertices[:, 0] * 0.95)
+        pulled = result.relief_mm - twin.relief_mm
+        assert np.corrcoef(waves, pulled)[0, 1] < -0.2, "out of what is under stress, into what is not"
         assert result.metrics["relief_mm"]["max"] <= CONFIG.max_relief_mm
+        assert "stress" not in result.metrics and "unconstrained" not in result.metrics
 
+    def test_resumed_and_verified(self, toy, two_views, twin, tmp_path, monkeypatch):
+        """After a crash in stage two it ends where the uninterrupted run does, and knows where it parted."""
+        config = replace(self.CONFIG, stress_every=1)
+        whole = genmf_mi.refine(toy, config, scene=two_views)
+        with pytest.raises(RuntimeError):
+            genmf_mi.refine(toy, config, out=tmp_path / "run", scene=two_views,
+                            listener=Recorder(stop=4, error=RuntimeError))  # fmt: skip
+        with np.load(tmp_path / "run" / CHECKPOINT) as state:
+            assert state["balance"] > 0 and int(state["iteration"]) == 4 and int(state["fork_iteration"]) == 3
+            assert not np.array_equal(state["latent"], state["fork_latent"])
+
+        judged = {}
+        judge = verdict.judge
+        monkeypatch.setattr(verdict, "judge", lambda shapes, *rest: judged.update(shapes) or judge(shapes, *rest))
+        resumed = genmf_mi.refine(toy, config, out=tmp_path / "run", scene=two_views, resume=True, verify=True)
+        assert [line["stage"] for line in resumed.history] == [1, 1, 1, 2, 2, 2]
+        assert difference_mm(resumed, whole) < TOLERANCE_MM
+        metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
+        stress = metrics["stress"]
+        assert set(stress["shapes"]) == {"before", "unconstrained", "after"}
+        assert set(stress["ratio"]) == {"unconstrained", "after", "constrained"} and "mean" in stress["remains"]
+        apart = (resumed.vertices - twin.vertices) * 100 / np.ptp(twin.vertices, axis=0).max()
+        assert np.abs(apart).max() > 10 * TOLERANCE_MM
+        simulated = (judged["after"] - judged["unconstrained"]) * 100 / np.ptp(judged["unconstrained"], axis=0).max()
+        np.testing.assert_allclose(simulated, apart, atol=TOLERANCE_MM)
+        for name in ("lpips_alex", "ssim"):
+            assert metrics["unconstrained"][name] == pytest.approx(twin.metrics["after"][name], abs=1e-3)
+        assert set(metrics["unseen"]["unconstrained"]) == set(metrics["after"])
+        text = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+        assert "Thermal stress" in text and "Without stress stage" in text and "predicted stress, surface band" in text
+
+    def test_some_shapes_alone(self, toy, two_views):
+        """Nothing is simulated unasked, and without a stress stage there is nothing between before and after."""
+        config = replace(CONFIG, iterations=1)
+        one = genmf_mi.refine(toy, config, scene=two_views, verify=("after",)).metrics
+        two = genmf_mi.refine(toy, config, scene=two_views, verify=True).metrics
+        assert set(one["stress"]["shapes"]) == {"after"} and "ratio" not in one["stress"]
+        assert set(two["stress"]["shapes"]) == {"before", "after"} and set(two["stress"]["ratio"]) == {"after"}
+        means = [metrics["stress"]["shapes"]["after"]["von_mises_mpa"]["mean"] for metrics in (one, two)]
+        assert means[0] == pytest.approx(means[1], rel=1e-3)
+
+
+class TestWays:
     def test_displacement(self, toy, two_views, tmp_path):
         """The baseline alone: it is what the scores of `displacement` stand for."""
         result = genmf_mi.refine(toy, replace(CONFIG, method="displacement"), out=tmp_path / "run", scene=two_views)

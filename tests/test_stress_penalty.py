@@ -1,0 +1,219 @@
+"""What keeps stress down: the losses against slow sums, their gradients against differences, and the held gradient."""
+
+from __future__ import annotations
+
+import itertools
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from genmf_mi.geometry.distance import MeshDistance
+from genmf_mi.losses import stress as losses
+from genmf_mi.stress import compute, penalty
+from genmf_mi.stress.distance import signed_distance
+from genmf_mi.stress.network import Architecture, StressNetwork, window
+from genmf_mi.stress.penalty import StressPenalty
+
+N = 33
+CELL = 2 / (N - 1)
+
+
+def body() -> trimesh.Trimesh:
+    """A ball with bumps, longest side about 1.8."""
+    mesh = trimesh.creation.icosphere(subdivisions=3)
+    x, y, z = mesh.vertices.T
+    bumps = 1 + 0.1 * np.sin(6 * x) * np.cos(5 * y + 1) + 0.05 * np.sin(7 * z)
+    return trimesh.Trimesh(mesh.vertices * bumps[:, None] * [0.85, 0.6, 0.7], mesh.faces, process=False)
+
+
+def tensor(array: np.ndarray, **options) -> torch.Tensor:
+    return torch.tensor(np.asarray(array), dtype=torch.float64, **options)
+
+
+class Tiny:
+    """A small network in double precision instead of the trained one."""
+
+    def __init__(self) -> None:
+        torch.manual_seed(0)
+        self.network = StressNetwork(Architecture(4, side=2, poolings=2, grid=N)).double()
+        torch.nn.init.constant_(self.network.fusion.out.bias, 0.2)
+        self.network.requires_grad_(False)
+        self.boxes = []
+
+    def field(self, phi: torch.Tensor, box: tuple[slice, slice, slice]) -> torch.Tensor:
+        self.boxes.append(box)
+        return compute.stress(self.network, phi, bfloat16=False, box=box)
+
+
+@pytest.fixture(scope="module")
+def tiny() -> Tiny:
+    return Tiny()
+
+
+class TestLosses:
+    DEPTH = 0.3
+
+    @pytest.fixture
+    def fields(self) -> tuple[np.ndarray, np.ndarray]:
+        """Stress and Φ of a small grid."""
+        rng = np.random.default_rng(0)
+        return rng.uniform(0.1, 4, size=(1, 7, 7, 7)), rng.normal(scale=0.3, size=(1, 7, 7, 7))
+
+    def slow(self, phi: np.ndarray, depth: float | None) -> np.ndarray:
+        """One sample after the other."""
+        weight, cell = np.zeros_like(phi), 2 / 6
+        for place in itertools.product(*map(range, phi.shape)):
+            inside = min(max(-phi[place] / (0.5 * cell), 0), 1)
+            near = 1.0 if depth is None else min(max((phi[place] + depth) / cell + 0.5, 0), 1)
+            weight[place] = inside * near
+        return weight
+
+    def test_against_loops(self, fields) -> None:
+        stress, phi = fields
+        for depth in (None, self.DEPTH):
+            weight = self.slow(phi, depth)
+            fast = losses.body(tensor(phi)) if depth is None else losses.band(tensor(phi), depth)
+            np.testing.assert_allclose(fast, weight, atol=1e-12)
+            mean = sum(w * s for w, s in zip(weight.flat, stress.flat)) / weight.sum()
+            variance = sum(w * (s - mean) ** 2 for w, s in zip(weight.flat, stress.flat)) / weight.sum()
+            assert float(losses.mean(tensor(stress), fast)) == pytest.approx(mean, rel=1e-12)
+            assert float(losses.variance(tensor(stress), fast)) == pytest.approx(variance, rel=1e-12)
+
+    def test_peak_is_between_mean_and_maximum(self, fields) -> None:
+        stress, phi = map(tensor, fields)
+        weight = losses.body(phi)
+        low, high = losses.mean(stress, weight), stress[weight > 0].max()
+        peaks = [float(losses.peak(stress, weight, power)) for power in (1, 8, 400)]
+        assert peaks[0] == pytest.approx(float(low)) and low < peaks[1] < high
+        assert peaks[2] == pytest.approx(float(high), rel=0.02)
+        power = (np.average(stress.numpy() ** 8, weights=weight)) ** (1 / 8)
+        assert peaks[1] == pytest.approx(power)
+        assert float(losses.peak(2 * stress, weight)) == pytest.approx(2 * peaks[1])
+
+    def test_of_a_constant_field(self) -> None:
+        """Whatever the shape, the mean is the constant and the variance nothing."""
+        phi = tensor(np.random.default_rng(1).normal(size=(1, 5, 5, 5)))
+        field, weight = torch.full_like(phi, 0.7), losses.body(phi)
+        for value in (losses.mean(field, weight), losses.peak(field, weight)):
+            assert float(value) == pytest.approx(0.7)
+        assert float(losses.variance(field, weight)) == pytest.approx(0, abs=1e-15)
+
+    def test_far_inside_and_outside(self) -> None:
+        """A sample half a cell below the surface counts fully; the band ends at its depth; nothing outside counts."""
+        cell = 2 / 8
+        phi = torch.full((1, 9, 9, 9), 0.1, dtype=torch.float64)
+        phi[0, 0, 0, :6] = tensor([-0.25, -0.5, -1.0, -1.5, -2.5, -4.0]) * cell
+        assert losses.body(phi)[0, 0, 0].tolist() == pytest.approx([0.5, 1, 1, 1, 1, 1, 0, 0, 0])
+        assert losses.band(phi, 1.5 * cell)[0, 0, 0].tolist() == pytest.approx([0.5, 1, 1, 0.5, 0, 0, 0, 0, 0])
+        assert float(losses.body(phi).sum()) == pytest.approx(5.5)
+
+    def test_volume_under_a_moving_surface(self) -> None:
+        """A ball's weights follow its volume as it grows, without jumps."""
+        ticks = torch.linspace(-1, 1, N, dtype=torch.float64)
+        radius = torch.stack(torch.meshgrid(ticks, ticks, ticks, indexing="ij")).norm(dim=0)[None]
+        volumes = np.array([float(losses.body(radius - r).sum()) for r in np.linspace(0.5, 0.5 + CELL, 60)])
+        assert (np.diff(volumes) > 0).all() and np.diff(volumes).max() < 2.5 * np.diff(volumes).mean()
+        exact = 4 / 3 * np.pi * (0.5 - CELL * losses.RAMP_CELLS / 2) ** 3 / CELL**3
+        assert volumes[0] == pytest.approx(exact, rel=0.02)
+
+
+def test_gradients_against_differences(tiny) -> None:
+    """Of E, Var and E over the band with respect to the vertices, through Φ and a network, within 2 %."""
+    mesh = body()
+    vertices = tensor(mesh.vertices, requires_grad=True)
+    distance = MeshDistance(mesh.faces, N, every=1000)
+    with torch.no_grad():
+        box = window(distance(vertices))
+
+    def measures(place: torch.Tensor) -> torch.Tensor:
+        phi = distance(place)
+        field, weight = tiny.field(phi, box), losses.body(phi)
+        band = losses.band(phi, 0.15)
+        terms = [losses.mean(field, weight), losses.variance(field, weight), losses.mean(field, band)]
+        return torch.stack([*terms, losses.peak(field, weight)])
+
+    gradients = [torch.autograd.grad(m, vertices, retain_graph=True)[0] for m in measures(vertices)]
+    step = 1e-6
+    for direction in (tensor(mesh.vertex_normals), tensor(np.sin(3 * mesh.vertices))):
+        with torch.no_grad():
+            slopes = (measures(vertices + step * direction) - measures(vertices - step * direction)) / (2 * step)
+        for gradient, slope in zip(gradients, slopes):
+            assert float((gradient * direction).sum()) == pytest.approx(float(slope), rel=0.02)
+
+
+class TestHeld:
+    """The penalty of a shape that moves, looked at every third call."""
+
+    def penalty(self, tiny: Tiny, every: int = 3) -> tuple[StressPenalty, torch.Tensor]:
+        mesh = body()
+        tiny.boxes.clear()
+        start = tensor(mesh.vertices)
+        # One search, as each moves the samples deep inside by hundredths of a cell
+        return StressPenalty(tiny, MeshDistance(mesh.faces, N, every=1000), start, every), start
+
+    def test_is_one_per_term_at_the_start(self, tiny) -> None:
+        held, start = self.penalty(tiny)
+        loss, terms = held(start)
+        assert list(terms) == ["stress_mean", "stress_variance", "stress_band"]
+        assert list(terms.values()) == pytest.approx([1, 1, 1], rel=1e-9)
+        assert float(loss) == pytest.approx(3, rel=1e-9)
+
+    def test_terms_are_relative_to_the_start(self, tiny, monkeypatch) -> None:
+        monkeypatch.setattr(penalty, "BAND", 0.2)
+        held, start = self.penalty(tiny)
+        moved = 1.02 * start
+        _, terms = held(moved)
+        values = []
+        for shape in (start, moved):
+            phi = held.distance(shape).numpy()
+            field = tiny.field(tensor(phi), held.box).numpy()
+            weight = np.clip(-phi / (0.5 * CELL), 0, 1)
+            near = weight * np.clip(0.5 + (phi + 0.2) / CELL, 0, 1)
+            mean = np.average(field, weights=weight)
+            values.append([mean, np.average((field - mean) ** 2, weights=weight), np.average(field, weights=near)])
+        assert list(terms.values()) == pytest.approx(list(np.divide(values[1], values[0])), rel=1e-6)
+
+    def test_is_linear_in_between(self, tiny) -> None:
+        held, start = self.penalty(tiny)
+        rng = np.random.default_rng(0)
+        first = start.clone().requires_grad_()
+        loss, terms = held(first)
+        (gradient,) = torch.autograd.grad(loss, first)
+        assert float(gradient.abs().max()) > 0
+        for _ in range(2):
+            moved = (start + tensor(1e-3 * rng.normal(size=start.shape))).requires_grad_()
+            value, told = held(moved)
+            (same,) = torch.autograd.grad(value, moved)
+            assert torch.equal(same, gradient) and told == terms
+            expected = loss.detach() + (gradient * (moved - start)).sum().detach()
+            assert float(value.detach()) == pytest.approx(float(expected), rel=1e-12)
+
+    def test_its_gradient_is_true(self, tiny) -> None:
+        held, start = self.penalty(tiny, every=1)
+        place = start.clone().requires_grad_()
+        (gradient,) = torch.autograd.grad(held(place)[0], place)
+        direction, step = tensor(body().vertex_normals), 1e-6
+        values = [float(held(start + s * step * direction)[0]) for s in (1, -1)]
+        slope = (values[0] - values[1]) / (2 * step)
+        assert float((gradient * direction).sum()) == pytest.approx(slope, rel=0.02)
+
+    @pytest.mark.parametrize(("every", "looks"), [(1, 7), (3, 3), (10, 1)])
+    def test_looks_every_few_calls_through_one_window(self, tiny, every, looks) -> None:
+        held, start = self.penalty(tiny, every)
+        for i in range(7):
+            held((1 + 0.03 * i) * start)
+        assert len(tiny.boxes) == 1 + looks
+        assert all(box == tiny.boxes[0] for box in tiny.boxes)
+
+    def test_of_phi_itself(self, tiny) -> None:
+        """Where the shape is Φ, nothing stands between: a step against the gradient lowers the penalty."""
+        phi = tensor(signed_distance(body().vertices, body().faces, N))[None]
+        held = StressPenalty(SimpleNamespace(field=tiny.field), lambda shape: shape, phi, every=1)
+        place = phi.clone().requires_grad_()
+        loss, _ = held(place)
+        (gradient,) = torch.autograd.grad(loss, place)
+        less, _ = held(phi - 1e-4 * gradient / gradient.abs().max())
+        assert less < loss
