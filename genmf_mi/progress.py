@@ -65,7 +65,7 @@ def run_refine(asset: str, config: RefineConfig, *, out: Path | None, quiet: boo
             result = refine(asset, config, out=out, listener=terminal, **options)
     print_table(result.metrics)
     if stress := tables.stress(result.metrics):
-        print_cells("thermal stress by finite elements", stress)
+        print_cells("thermal stress by finite elements, MPa", stress)
     relief, solid = result.metrics["relief_mm"], result.metrics["solid"]
     print(
         f"relief: at most {relief['max']:.2f} mm, mean {relief['mean']:.2f} mm; "
@@ -93,7 +93,7 @@ def run_sweep(
 
         with terminal.progress:
             found = sweep.sweep(asset, weights, config, out=out, listener=terminal, begin=begin, **options)
-    print_cells(f"{found['asset']}: appearance and thermal stress by finite elements", sweep.table(found))
+    print_cells(f"{found['asset']}: appearance, and thermal stress by finite elements in MPa", sweep.table(found))
     print(f"numbers in {out / sweep.SUMMARY}, picture in {out / sweep.PICTURE}")
     return 0
 
@@ -141,13 +141,14 @@ def print_table(metrics: dict) -> None:
 
 
 def print_cells(title: str, cells: TextTable) -> None:
-    """Cells that are text already, numbers to the right."""
+    """Cells that are text already, numbers to the right; where it is narrow, the titles wrap first."""
     from rich.console import Console
     from rich.table import Table
 
     table = Table(title=title, title_justify="left")
     for i, column in enumerate(cells.columns):
-        table.add_column(column, justify="right" if i else "left")
+        widest = max(len(row[i]) for row in cells.rows)
+        table.add_column(column, justify="right" if i else "left", min_width=widest if i else None)
     for row in cells.rows:
         table.add_row(*row)
     Console().print(table)

@@ -12,15 +12,11 @@ from genmf_mi.config import RefineConfig
 from genmf_mi.errors import ConfigError
 from genmf_mi.files import atomic, write_text
 from genmf_mi.refine import Listener, refine
-from genmf_mi.report.tables import DASH, STRESSES, TextTable, kept_gain
+from genmf_mi.report.tables import STRESSES, TextTable, kept_gain, percent, with_ratio
 from genmf_mi.run import CHECKPOINT, METRICS, Run
 
 SUMMARY, PICTURE = "sweep.json", "sweep.png"
-CURVES = {
-    "p99_9": "“max” (99.9 % are below)",
-    "mean": "mean of the body",
-    "surface_band_mean": "mean of the surface band",
-}
+CURVES = {"p99_9": "max (p99.9)", "mean": "mean", "surface_band_mean": "surface band, mean"}
 """The ratios that are tabled and drawn: the last is what relief changes most."""
 
 
@@ -132,22 +128,24 @@ def _stresses(summary: dict) -> dict[str, float]:
 
 
 def table(found: dict) -> TextTable:
-    """The contents of ``sweep.json`` as a person reads them."""
-    titles = {"p99_9": "“max”, MPa", "mean": "mean, MPa", "surface_band_mean": "surface band, MPa"}
+    """The contents of ``sweep.json`` as a person reads them.
+
+    × is relative to the run without the stress stage; the increase is that of the surface band.
+    """
     before = found["before"]
-    rows = [["before", f"{before['lpips_alex']:.4f}", "", *(f"{before['stress'][key]:.3f}" for key in titles), ""]]
+    stresses = [with_ratio(before["stress"][key], None) for key in CURVES]
+    rows = [["before", f"{before['lpips_alex']:.4f}", "", *stresses, ""]]
     for run in found["runs"]:
-        remains = run["remains"].get("surface_band_mean")
         rows.append(
             [
                 f"{run['stress_weight']:g}",
                 f"{run['lpips_alex']:.4f}",
-                DASH if run["kept_gain"] is None else f"{run['kept_gain']:.0%}",
-                *(f"{run['stress'][key]:.3f} (× {run['ratio'][key]:.2f})" for key in titles),
-                DASH if remains is None else f"{remains:.0%}",
+                percent(run["kept_gain"]),
+                *(with_ratio(run["stress"][key], run["ratio"][key]) for key in CURVES),
+                percent(run["remains"].get("surface_band_mean")),
             ]
         )
-    return TextTable(["stress weight", "LPIPS", "gain kept", *titles.values(), "band increase that remains"], rows)
+    return TextTable(["weight", "LPIPS", "gain\nkept", *CURVES.values(), "increase\nleft"], rows)
 
 
 def write_picture(path: Path, found: dict) -> None:

@@ -166,6 +166,28 @@ class TestWholeRun:
         assert Path("here/refined.3mf").exists() and Path("here/checkpoint.npz").exists()
 
 
+def test_stress_is_printed_where_it_was_verified(monkeypatch, capsys):
+    """A table more, with the ratios; the scores of the shape without the stress stage among the others."""
+    stress = {"von_mises_mpa": {"p99_9": 2.0, "mean": 0.4}, "surface_band": {"mean": 0.5, "p99_9": 1.5}}
+    ratios = dict.fromkeys(("p99_9", "mean", "surface_band_mean", "surface_band_p99_9"), 1.25)
+    metrics = {
+        **SCORES,
+        "unconstrained": ROW,
+        "stress": {"shapes": {"before": stress, "after": stress}, "ratio": {"after": ratios}},
+        "relief_mm": {"max": 0.9, "mean": 0.2},
+        "solid": {"watertight": True, "bodies": 1, "self_intersections": 0},
+        "seconds": {"total": 1.0},
+        "interrupted": False,
+    }
+    asked = []
+    result = SimpleNamespace(metrics=metrics)
+    monkeypatch.setattr(progress, "refine", lambda *_, **options: asked.append(options["verify"]) or result)
+    assert cli.main(["refine", "toy.ply", "--quiet", "--verify"]) == 0
+    text = capsys.readouterr().out
+    assert asked == [True]
+    assert "finite elements" in text and text.count("×1.25") == 4 and "unconstrained" in text
+
+
 ROW = {"ssim": 0.91234, "lpips_alex": 0.1, "lpips_vgg": None, "g_ssim": 0.8, "g_lpips": 0.2}
 SCORES = {"asset": "toy", "before": ROW, "after": ROW, "unseen": {"before": ROW, "after": ROW}}
 

@@ -14,10 +14,10 @@ DASH = "–"
 
 STATES = ("before", "displacement", "unconstrained", "after")
 STRESSES = (
-    ("p99_9", "“max” (99.9 % are below), MPa", ("von_mises_mpa", "p99_9")),
-    ("mean", "mean of the whole body, MPa", ("von_mises_mpa", "mean")),
-    ("surface_band_mean", "mean of the surface band, MPa", ("surface_band", "mean")),
-    ("surface_band_p99_9", "“max” of the surface band, MPa", ("surface_band", "p99_9")),
+    ("p99_9", "max (p99.9)", ("von_mises_mpa", "p99_9")),
+    ("mean", "mean", ("von_mises_mpa", "mean")),
+    ("surface_band_mean", "surface band, mean", ("surface_band", "mean")),
+    ("surface_band_p99_9", "surface band, max", ("surface_band", "p99_9")),
 )
 """Names among the ratios of a verdict, for people, and where each stands in a summary of stress."""
 
@@ -151,10 +151,10 @@ def stress(metrics: dict) -> TextTable | None:
         row = [name]
         for shape in shapes:
             ratio = verdict["ratio"].get(shape, {}).get(key)
-            row.append(f"{verdict['shapes'][shape][group][quantity]:.3f}" + (f" (× {ratio:.2f})" if ratio else ""))
+            row.append(with_ratio(verdict["shapes"][shape][group][quantity], ratio))
         if compared:
             remains = verdict["remains"].get(key)
-            row += [_times(verdict["ratio"]["constrained"].get(key)), DASH if remains is None else f"{remains:.0%}"]
+            row += [_times(verdict["ratio"]["constrained"].get(key)), percent(remains)]
         rows.append(row)
     seen = {shape: metrics.get(shape, {}).get("lpips_alex") for shape in shapes}
     row = [label("lpips_alex"), *(_cell("lpips_alex", seen[shape]) for shape in shapes)]
@@ -162,10 +162,10 @@ def stress(metrics: dict) -> TextTable | None:
         kept = kept_gain(seen["before"], seen["unconstrained"], seen["after"])
         row += [
             _times(seen["after"] / seen["unconstrained"] if seen["unconstrained"] else None),
-            DASH if kept is None else f"{kept:.0%} of the gain",
+            DASH if kept is None else f"{percent(kept)} kept",
         ]
     columns = ["", *(titles[shape] for shape in shapes)]
-    return TextTable(columns + (["Refined / without", "Increase that remains"] if compared else []), [*rows, row])
+    return TextTable(columns + (["Refined / without", "Increase left"] if compared else []), [*rows, row])
 
 
 def kept_gain(before: float, unconstrained: float, after: float) -> float | None:
@@ -173,8 +173,18 @@ def kept_gain(before: float, unconstrained: float, after: float) -> float | None
     return (before - after) / (before - unconstrained) if unconstrained < before else None
 
 
+def with_ratio(value: float, ratio: float | None) -> str:
+    """A stress in MPa, with its ratio to another where there is one."""
+    return f"{value:.3f}" + (f" {_times(ratio)}" if ratio is not None else "")
+
+
+def percent(share: float | None) -> str:
+    """A share as a person reads it."""
+    return DASH if share is None else f"{100 * share:.0f} %"
+
+
 def _times(ratio: float | None) -> str:
-    return DASH if ratio is None else f"× {ratio:.2f}"
+    return DASH if ratio is None else f"×{ratio:.2f}"
 
 
 def _comparison(group: tuple[str, ...], table: dict[str, dict[str, object]]) -> Comparison:
