@@ -21,7 +21,7 @@ def judge(
     """Simulate shapes of one topology, ``[V,3]`` each in the normalised frame, and compare them.
 
     Args:
-        shapes: some of ``before``, ``unconstrained`` (without the stress stage) and ``after``.
+        shapes: some of ``before``, ``unconstrained`` (without the stress stage) and ``after``, in this order.
         faces: ``[F,3]``.
 
     Returns:
@@ -34,22 +34,23 @@ def judge(
         SolidError, SolveError: as :func:`genmf_mi.stress.fem.simulate`.
     """
     settings = fem.Settings(size_mm=frame.size_mm, edge_mm=EDGE_MM * frame.size_mm / 100.0)
-    simulations = {}
+    summaries, layers, before = {}, {}, None
     for name, vertices in shapes.items():
         say(f"simulating the stress: {name}")
         phi = distance.signed_distance(vertices, faces, settings.grid)
         lost = distance.lost_fraction(vertices, faces, phi)
-        simulations[name] = fem.simulate_distance(phi, frame, settings, fem.Laps(), lost)
-    summaries = {name: summary(simulation) for name, simulation in simulations.items()}
+        simulation = fem.simulate_distance(phi, frame, settings, fem.Laps(), lost)
+        summaries[name] = summary(simulation)
+        if name == "before":
+            before = simulation  # the others go, as each takes a gigabyte or more
+        elif before is not None:
+            layers[name] = layer_ratio(before, simulation)
+        del simulation
     verdict: dict = {"shapes": summaries}
-    if "before" in shapes:
+    if before is not None:
         verdict["ratio"] = {
-            name: {
-                **ratios(summaries["before"], summaries[name]),
-                "surface_layer_mean": layer_ratio(simulations["before"], simulations[name]),
-            }
-            for name in shapes
-            if name != "before"
+            name: {**ratios(summaries["before"], summaries[name]), "surface_layer_mean": layer}
+            for name, layer in layers.items()
         }
     if {"before", "unconstrained", "after"} <= set(shapes):
         verdict["ratio"]["constrained"], verdict["remains"] = effect(
