@@ -121,6 +121,16 @@ def test_residual_block() -> None:
         assert np.allclose(wider(x).numpy(), np.maximum(inner, 0), atol=1e-4)
 
 
+def test_small_fields_are_convolved_in_full_precision() -> None:
+    """Gradients too: on a few samples those of bfloat16 kernels cannot be relied on."""
+    block, small, large = layers.Res3DBlock(3, 4), torch.randn(1, 3, 2, 4, 4), torch.randn(1, 3, 8, 8, 8)
+    with torch.autocast("cpu", torch.bfloat16):
+        assert block(small).dtype == torch.float32 and torch.equal(block(small), block.float()(small))
+        assert block.first(large).dtype == torch.bfloat16
+        block(small.bfloat16()).sum().backward()
+    assert all(p.grad.isfinite().all() for p in block.parameters())
+
+
 def test_recalibration_and_global_descriptor() -> None:
     x = torch.rand(2, 16, 3, 4, 5) + 0.1
     scaled = layers.SqueezeExcitation(16)(x) / x

@@ -19,6 +19,9 @@ from genmf_mi.stress.materials import material
 REACH_CELLS = 4.0
 """Φ is cut off at this many cells outside of the body: what the air is like does not load the part."""
 
+SMALL = 512
+"""Samples below which a field is convolved in float32 always."""
+
 
 class GeometricGradient(nn.Module):
     """Φ, its normalised gradient and its Laplacian, ``[B,1,X,Y,Z]`` to ``[B,5,X,Y,Z]``.
@@ -131,6 +134,14 @@ class Res3DBlock(nn.Module):
         self.identity = nn.Conv3d(channels, out, 1) if channels != out else nn.Identity()
 
     def forward(self, x: Tensor) -> Tensor:
+        kind = x.device.type
+        if x[0, 0].numel() < SMALL and kind != "meta" and torch.is_autocast_enabled(kind):
+            # On fields of a few samples oneDNN's bfloat16 gradient of a kernel was seen to be NaN, and is no faster
+            with torch.autocast(kind, enabled=False):
+                return self._forward(x.float())
+        return self._forward(x)
+
+    def _forward(self, x: Tensor) -> Tensor:
         inner = F.relu(self.first_norm(self.first(x)))
         return F.relu(self.second_norm(self.second(inner)) + self.identity(x))
 
