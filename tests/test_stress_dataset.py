@@ -16,7 +16,7 @@ import trimesh
 
 from genmf_mi.errors import ConfigError, OutputError
 from genmf_mi.stress import codec, dataset
-from genmf_mi.stress.dataset import DatasetSettings, build, read_index
+from genmf_mi.stress.dataset import DatasetSettings, build, chosen, read_index
 from genmf_mi.stress.distance import axis, signed_distance
 from genmf_mi.stress.fem import Settings
 from genmf_mi.stress.reader import StressSamples, turned
@@ -127,6 +127,15 @@ def test_split_is_by_shape_and_fixed() -> None:
     sources = {"spot": Path("a"), "spotcow": Path("b")}
     both = {r.path: r.split for r in (recipe(i, 0, sources, {"spotcow": "spot"}) for i in range(200)) if r.path}
     assert both[Path("a")] == both[Path("b")]
+
+
+def test_splits_can_be_made_alone(tmp_path: Path) -> None:
+    settings = DatasetSettings(COARSE, seed=1)
+    parts = [chosen(60, settings, [split]) for split in ("train", "validation", "test")]
+    assert sorted(index for part in parts for index in part) == chosen(60, settings) == list(range(60)) and all(parts)
+    first = parts[2][:1]
+    assert build(tmp_path, first[0] + 1, settings, splits=["test"]).made == 1
+    assert [r["index"] for r in read_index(tmp_path)] == first
 
 
 @pytest.mark.parametrize("family", sorted(FAMILIES))

@@ -127,6 +127,7 @@ def dataset(
     seed: int = 0,
     meshes: tuple[Path, ...] = (),
     same: tuple[str, ...] = (),
+    split: tuple[Literal["train", "validation", "test"], ...] = (),
     retry_failed: bool = False,
 ) -> None:
     """Make training samples of Φ and von Mises stress; a run that was interrupted goes on where it stopped.
@@ -140,12 +141,13 @@ def dataset(
         seed: Same seed, same samples.
         meshes: Folders of closed meshes to use besides the procedural shapes.
         same: Files that show one shape, as NAME=NAME, so that both stay on one side of the split.
+        split: Make only the samples of these splits, for example to simulate those of the test more finely.
         retry_failed: Try failed samples again.
     """
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     from genmf_mi.errors import ConfigError
-    from genmf_mi.stress.dataset import DatasetSettings, build, meshes_in, read_index
+    from genmf_mi.stress.dataset import DatasetSettings, build, chosen, meshes_in, read_index
     from genmf_mi.stress.fem import Settings
 
     pairs = dict(pair.split("=", 1) for pair in same if "=" in pair)
@@ -154,15 +156,16 @@ def dataset(
     settings = DatasetSettings(Settings(edge_mm=edge_mm, grid=grid), seed, meshes_in(list(meshes)), pairs)
     columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.fields[last]}"))
     with Progress(TextColumn("samples"), *columns) as bar:
-        task = bar.add_task("", total=count, last="")
+        wanted = set(chosen(count, settings, split))
+        task = bar.add_task("", total=len(wanted), last="")
 
         def show(record: dict) -> None:
             if "error" in record:
                 bar.console.print(f"sample {record['index']} failed: {record['error']}")
             bar.update(task, advance=1, last=record.get("shape", ""))
 
-        bar.update(task, completed=sum(r["index"] < count for r in read_index(out)))
-        tally = build(out, count, settings, workers, retry_failed, show)
+        bar.update(task, completed=sum(r["index"] in wanted for r in read_index(out)))
+        tally = build(out, count, settings, workers, retry_failed, show, split)
     print(f"{out}: {tally.finished} samples, {tally.failed} failed; {tally.made} new.")
 
 

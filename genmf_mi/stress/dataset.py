@@ -12,7 +12,7 @@ import hashlib
 import json
 import multiprocessing
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from multiprocessing.connection import wait
@@ -100,6 +100,14 @@ def read_index(folder: Path) -> list[dict]:
     return records
 
 
+def chosen(count: int, settings: DatasetSettings, splits: Collection[str] = ()) -> list[int]:
+    """Those of the samples 0 … count-1 that belong to ``splits``; all of them if none are named."""
+    from genmf_mi.stress.recipe import recipe
+
+    kind = (settings.seed, settings.sources, settings.same)
+    return [index for index in range(count) if not splits or recipe(index, *kind).split in splits]
+
+
 def build(
     out: Path,
     count: int,
@@ -107,8 +115,9 @@ def build(
     workers: int = 1,
     retry_failed: bool = False,
     progress: Callable[[dict], None] | None = None,
+    splits: Collection[str] = (),
 ) -> Tally:
-    """Make the samples 0 … count-1 that ``out`` does not hold yet.
+    """Make those of the samples 0 … count-1 that ``out`` does not hold yet and that are :func:`chosen`.
 
     ``progress`` is called with each new record of the index.
 
@@ -123,7 +132,7 @@ def build(
         records = [r for r in read_index(out) if not (retry_failed and "error" in r)]
         write_text(out / "index.jsonl", "".join(json.dumps(r) + "\n" for r in records))
         have = {r["index"] for r in records}
-        wanted = iter([i for i in range(count) if i not in have])
+        wanted = iter([i for i in chosen(count, settings, splits) if i not in have])
         made = 0
         with (out / "index.jsonl").open("a", encoding="utf-8") as index:
             for record in _run(wanted, out, settings, workers):

@@ -9,8 +9,8 @@
 As in the paper but for three settings. The body's box is cut out of the grid first (:func:`window`), as nine samples in
 ten are air. The compact network gathers blocks of 2³ samples into channels on the way in and spreads them out on the
 way out, so that its convolutions run at half the resolution while it sees and tells every sample. And it is given
-three more channels (:class:`~genmf_mi.stress.layers.Physics`): how far the body has cooled, how firmly the bed holds it,
-and the height above the bed. A network of the paper's size may learn these from many shapes; a small one does not
+three more channels (:class:`~genmf_mi.stress.layers.Physics`): how far the body has cooled, how firmly the bed holds
+it, and the height above the bed. A network of the paper's size may learn these from many shapes; a small one does not
 learn them from a few hundred.
 """
 
