@@ -1,7 +1,7 @@
 """The stress network: what a pass costs, and how well trained weights do beside what needs no network.
 
     python -m benchmarks.stress_network cost [--threads 2]
-    python -m benchmarks.stress_network scores WEIGHTS --data DIR [--split test] [--cache DIR]
+    python -m benchmarks.stress_network scores WEIGHTS --data DIR [--finer DIR] [--split test] [--cache DIR]
 
 CPU seconds are those of the process, so that other work on the machine counts little.
 """
@@ -12,19 +12,25 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import torch
+import trimesh
 import tyro
+from skimage.measure import marching_cubes
 from tyro.conf import Positional
 
 from benchmarks import record
 from genmf_mi.memory import peak_gb
 from genmf_mi.stress import baselines, compute, metrics, weights
+from genmf_mi.stress.metrics import Predict
 from genmf_mi.stress.network import PRESETS, Architecture, StressNetwork
 from genmf_mi.stress.predictor import Predictor
 from genmf_mi.stress.reader import StressSamples
 
 FULL, USUAL = (128, 128, 128), (128, 96, 80)
 """The largest window at 129³, and about the mean one of the data set."""
+SIMPLE = (3, 20.0)
+"""Largest genus and surface of a simple shape, see :func:`complexity`. Relief alone makes a handle or two."""
 TRIED = (
     ("compact", PRESETS["compact"], FULL, True),
     ("compact", PRESETS["compact"], FULL, False),
@@ -95,27 +101,78 @@ def scores(
     file: Positional[Path],
     /,
     data: Path,
+    finer: Path | None = None,
     split: str = "test",
     cache: Path | None = None,
     fit_on: int = 100,
     threads: int = 1,
 ) -> None:
-    """Scores of a network and of the baselines, by family; the baselines are fitted to training samples of ``data``."""
+    """Scores of a network and of the baselines, over all samples, by group and by family.
+
+    Args:
+        file: Weights.
+        data: The data set that they were trained on; the baselines are fitted to ``fit_on`` of its training samples.
+        finer: The same samples of ``split``, simulated on finer meshes, to judge all by; how far the fields of ``data``
+            are from these is then told too, as the noise of the labels.
+        split: Of which samples.
+        cache: Folder for decoded samples.
+        fit_on: See ``data``.
+        threads: Of the CPU.
+    """
     torch.set_num_threads(threads)
     predictor = Predictor(file)
-    samples = StressSamples(data, split, cache=cache)
+    samples, coarse = (StressSamples(folder, split, cache=cache) for folder in (finer or data, data))
     weights.check_simulation(file, predictor.about["simulation"], samples.settings["simulation"])
+    both = {r["index"] for r in samples.records} & {r["index"] for r in coarse.records}
+    for one in (samples, coarse):
+        one.records = [record for record in one.records if record["index"] in both]
     training = StressSamples(data, "train", cache=cache)
     training.records = training.records[:: max(1, len(training) // fit_on)]
-    table = {
-        "constant": metrics.summary(metrics.score(baselines.constant(training), samples)),
-        "thickness and curvature": metrics.summary(metrics.score(baselines.pointwise(training), samples)),
+    labels = iter(coarse)
+    judged: dict[str, Predict] = {
+        "constant": baselines.constant(training),
+        "thickness and curvature": baselines.pointwise(training),
+        "network": predictor.field,
+        "labels": lambda phi: next(labels)[1],
     }
-    rows = metrics.score(predictor.field, samples)
-    table["network"] = metrics.summary(rows)
-    for name, families in table.items():
-        print(name, {key: round(families["all"][key], 4) for key in ("mae", "iou", "mean")}, flush=True)
-    record.write(f"stress_network_{split}", {"sha256": weights.digest(file), "scores": table, "samples": rows})
+    if finer is None:
+        del judged["labels"]
+    shapes = [complexity(samples[item][0][0].numpy()) for item in range(len(samples))]
+    table, rows = {}, {}
+    for name, predict in judged.items():
+        rows[name] = [row | shape for row, shape in zip(metrics.score(predict, samples), shapes)]
+        table[name] = metrics.summary(rows[name])
+        for group in ("simple", "complex"):
+            members = [row for row in rows[name] if row["group"] == group]
+            table[name] |= {group: metrics.summary(members)["all"]} if members else {}
+        for group in ("all", "simple", "complex"):
+            found = table[name].get(group, {"samples": 0})
+            print(name, group, {k: round(v, 4) for k, v in found.items() if v is not None}, flush=True)
+    simulation = samples.settings["simulation"]
+    record.write(
+        f"stress_network_{split}",
+        {
+            "sha256": weights.digest(file),
+            "edge_mm": simulation["edge_mm"],
+            "labels_edge_mm": coarse.settings["simulation"]["edge_mm"],
+            "scores": table,
+            "samples": rows["network"],
+        },
+    )
+
+
+def complexity(phi: np.ndarray) -> dict:
+    """``genus``, ``surface`` (area times longest side over volume; 6 for a ball) and the ``group`` that they make:
+    a shape is simple up to :data:`SIMPLE`.
+
+    phi: ``[n,n,n]``, negative inside.
+    """
+    vertices, faces, _, _ = marching_cubes(phi, 0.0)
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    genus = (2 * mesh.body_count - mesh.euler_number) // 2
+    surface = float(mesh.area * np.ptp(vertices, axis=0).max() / abs(mesh.volume))
+    simple = genus <= SIMPLE[0] and surface <= SIMPLE[1]
+    return {"genus": int(genus), "surface": round(surface, 2), "group": "simple" if simple else "complex"}
 
 
 if __name__ == "__main__":
