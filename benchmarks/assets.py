@@ -35,29 +35,19 @@ def main() -> None:
     out = Path(os.environ.get("GENMF_BENCH_OUT", "runs/bench"))
     rows = []
     for name in names:
-        done = out / name / "metrics.json"
-        if not done.exists():
-            subprocess.run(
-                [
-                    sys.executable,
-                    "-m",
-                    "genmf_mi",
-                    "refine",
-                    str(folder / f"{name}.glb"),
-                    "--out",
-                    str(out / name),
-                    "--force",
-                    "--quiet",
-                ],
-                check=False,
-            )
-        rows.append(
-            row(name, json.loads(done.read_text(encoding="utf-8")))
-            if done.exists()
-            else {"asset": name, "failed": True}
-        )
+        metrics = refined(folder / f"{name}.glb", out / name)
+        rows.append(row(name, metrics) if metrics else {"asset": name, "failed": True})
         print(rows[-1], flush=True)
     record.write("assets", {"assets": rows, "summary": summary([r for r in rows if "failed" not in r])})
+
+
+def refined(asset: Path, out: Path, *arguments: str) -> dict | None:
+    """The metrics of a run in a process of its own, or of the one that ``out`` holds; None if it failed."""
+    done = out / "metrics.json"
+    if not done.exists():
+        command = ["refine", str(asset), "--out", str(out), "--force", "--quiet", *arguments]
+        subprocess.run([sys.executable, "-m", "genmf_mi", *command], check=False)
+    return json.loads(done.read_text(encoding="utf-8")) if done.exists() else None
 
 
 def row(name: str, metrics: dict) -> dict:
