@@ -237,6 +237,17 @@ def test_what_a_training_leaves(data: Path, tmp_path: Path, monkeypatch: pytest.
     assert not any(p.requires_grad for p in net.parameters())
 
 
+def test_starting_from_weights(data: Path, tmp_path: Path) -> None:
+    first = training.train(data, tmp_path / "first", CONFIG)
+    begin = tmp_path / "first" / training.WEIGHTS
+    still = replace(CONFIG, start=str(begin), steps=1, rate=1e-12)
+    second = training.train(data, tmp_path / "second", still)
+    assert second["start"] == first["sha256"], "the weights say where they come from, not where they lay"
+    assert second["validation"]["all"]["loss"] == pytest.approx(first["validation"]["all"]["loss"], rel=1e-3)
+    with pytest.raises(WeightsError, match="does not exist"):
+        training.train(data, tmp_path / "third", replace(still, start="none.safetensors"))
+
+
 def test_minutes_end_a_training(data: Path, tmp_path: Path) -> None:
     result = train(data, tmp_path, replace(CONFIG, steps=1000, minutes=1e-6))
     assert result["steps_made"] == 1 and result["validation"]["all"]["samples"] == 2

@@ -76,6 +76,7 @@ def train(
 
     Raises:
         ConfigError: no such data, other data or settings than those of the training to resume, no CUDA.
+        WeightsError: those to start from are missing, damaged, or of another network or protocol.
         OutputError: ``out`` holds a training already, or nothing to resume, or cannot be written to.
     """
     samples = {
@@ -99,6 +100,9 @@ class _Training:
         self.simulation = {**simulation, "grid": (simulation["grid"] - 1) // config.stride + 1}
         torch.manual_seed(config.seed)
         self.net = network(config.preset, self.simulation["grid"]).to(self.device)
+        if config.start:
+            start, _ = weights.load(config.start, preset=config.preset, simulation=self.simulation)
+            self.net.load_state_dict(start.state_dict())
         self.optimiser = torch.optim.AdamW(self.net.parameters(), config.rate, weight_decay=config.weight_decay)
         self.step, self.seconds, self.best, self.since_best, self.lost = 0, 0.0, math.inf, 0, 0
         self.best_weights: dict[str, Tensor] = {}
@@ -195,6 +199,7 @@ class _Training:
         self.net.load_state_dict(self.best_weights)
         about = {
             **asdict(self.config),
+            "start": self.config.start and weights.digest(self.config.start),
             "steps_made": self.step,
             "samples": {split: len(samples) for split, samples in self.samples.items()},
             "validation": self.best_scores,
