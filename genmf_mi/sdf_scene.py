@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from genmf_mi import scene as scenes
+from genmf_mi.errors import OutputError
 from genmf_mi.files import atomic
 from genmf_mi.frame import Frame
 from genmf_mi.generators.asset import SdfAsset
@@ -39,9 +40,12 @@ def write_grid(shape: SdfAsset, path: str | Path) -> Path:
     import mitsuba as mi
 
     path = Path(path)
-    half_scale = np.ascontiguousarray(shape.phi.transpose(2, 1, 0)[..., None] / 2, dtype=np.float32)
-    with atomic(path) as temporary:
-        mi.VolumeGrid(half_scale).write(str(temporary))
+    grid = np.ascontiguousarray(shape.phi.transpose(2, 1, 0)[..., None] / 2, dtype=np.float32)
+    try:
+        with atomic(path) as temporary:
+            mi.VolumeGrid(grid).write(str(temporary))
+    except RuntimeError as error:  # so does Mitsuba call a full disk
+        raise OutputError(f"cannot write {path}: {error}. Free some space or choose another --out.") from error
     return path
 
 
