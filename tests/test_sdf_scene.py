@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -95,6 +96,15 @@ class TestPicture:
         np.testing.assert_allclose(image[..., 0], bridge.render(same, [View(30, 10)]).grey[0, 0], atol=1e-4)
         assert image[..., 5].max() == pytest.approx(1)
 
+    def test_documented_lines(self, shown, tmp_path, monkeypatch):
+        text = (Path(__file__).parents[1] / "docs" / "generators.md").read_text(encoding="utf-8")
+        (lines,) = (b for b in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL) if "mi.load_file" in b)
+        monkeypatch.chdir(tmp_path)
+        Path("bus.vol").write_bytes(shown.grid.read_bytes())
+        names = {}
+        exec(lines, names)
+        assert names["image"].shape == (384, 384, 6) and np.array(names["image"])[..., 5].max() == pytest.approx(1)
+
     def test_a_mesh_scene_holds_no_grid(self, shown):
         with pytest.raises(SceneError, match=r'strawberry.xml has no <default name="grid" .* no grid can be put in'):
             sdf_scene.load(scene.find("strawberry"), shown.grid, shown.shape, shown.frame, radius=1.0)
@@ -126,7 +136,7 @@ class Fixed:
         import mitsuba as mi
 
         variant.use("cpu")
-        film = {"type": "hdrfilm", "width": SIDE, "height": SIDE, "rfilter": {"type": "box"}}
+        film = {"type": "hdrfilm", "width": SIDE, "height": SIDE, "pixel_format": "luminance"}
         look = mi.ScalarTransform4f().look_at([0.5, 0.6, 3], [0.5, 0.5, 0.5], [0, 1, 0])
         self.scene = mi.load_dict({
             "type": "scene",
@@ -149,7 +159,8 @@ class Fixed:
         self.params.update()
         grey, valid, *_ = self.integrator.sample(dr.ADMode.Backward, self.scene, None, self.ray)
         grey, t = dr.ravel(grey), dr.select(valid, self.scene.ray_intersect(self.ray, mi.RayFlags.All, True).t, 0)
-        dr.eval(grey, t)  # before the grid changes again
+        dr.eval(grey, t)
+        dr.sync_thread()  # before the grid changes again
         return grey, t
 
     def differences(self, phi: np.ndarray, along: np.ndarray, step: float) -> list[np.ndarray]:
@@ -238,6 +249,7 @@ class TestDerivatives:
         image = mi.render(fixed.scene, fixed.params, spp=1)
         with pytest.raises(Exception, match="its grid are wrong"):
             dr.backward(dr.sum(image, axis=None))
+        dr.sync_thread()
         fixed.params["object.grid"] = mi.TensorXf(phi[..., None])
         albedo = mi.Float(0.8)
         dr.enable_grad(albedo)
