@@ -30,6 +30,7 @@ USAGE = """genmf-mi: turn a textured 3D asset into a one-colour part whose relie
   genmf-mi evaluate A B       score a one-colour shape B against the textured asset A
   genmf-mi batch FILES ...    refine many assets, one after the other
   genmf-mi sweep ASSET        what a lower thermal stress costs in appearance
+  genmf-mi convert ASSET      from a mesh to an SDF file, or from an SDF file to a coloured mesh
   genmf-mi scene ASSET        print a scene file to edit and use with --scene
   genmf-mi samples            write the bundled samples as GLB files
   genmf-mi stress ...         thermal stress by finite elements
@@ -59,6 +60,7 @@ def main(arguments: list[str] | None = None) -> int:
         "evaluate": _evaluate,
         "batch": _batch,
         "sweep": _sweep,
+        "convert": _convert,
         "scene": _scene,
         "samples": _samples,
         "stress": _stress,
@@ -204,6 +206,12 @@ def sweep(
         save_exr=chosen.save_exr,
         force=force,
     )
+
+
+def _convert(arguments: list[str]) -> int | None:
+    from genmf_mi.generators.command import convert
+
+    return _parse(convert, "convert", arguments)
 
 
 def _scene(arguments: list[str]) -> int:

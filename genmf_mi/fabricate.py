@@ -71,7 +71,7 @@ def write(
     jobs: tuple[tuple[str, np.ndarray, Callable[[Path], None], float], ...] = (
         (PRINT_3MF, part_mm, lambda path: _write_3mf(path, part_mm, faces, title), _FLOAT32),
         (PRINT_STL, part_mm, lambda path: _write_stl(path, part_mm, faces, title), _FLOAT32),
-        (COLOURED_GLB, own, lambda path: _write_glb(path, own, faces, rgb, title), 1e-6 * np.ptp(own, axis=0).max()),
+        (COLOURED_GLB, own, lambda path: write_glb(path, own, faces, rgb, title), 1e-6 * np.ptp(own, axis=0).max()),
     )
     for name, points, writer, tolerance in jobs:
         with atomic(folder / name) as temporary:
@@ -105,7 +105,7 @@ def _write_stl(path: Path, vertices: np.ndarray, faces: np.ndarray, title: str) 
     path.write_bytes(Trimesh(vertices, faces, process=False, metadata={"name": title}).export(file_type="stl"))
 
 
-def _write_glb(path: Path, vertices: np.ndarray, faces: np.ndarray, rgb: np.ndarray | None, title: str) -> None:
+def write_glb(path: Path, vertices: np.ndarray, faces: np.ndarray, rgb: np.ndarray | None, title: str) -> None:
     """One primitive with normals and 16-bit COLOR_0: eight bits of linear light would show as bands in the dark."""
     attributes = {"POSITION": vertices.astype("<f4"), "NORMAL": topology.vertex_normals(vertices, faces).astype("<f4")}
     if rgb is not None:

@@ -2,7 +2,8 @@
 
 A scene file says how the object is looked at: the two-light material, the camera's field of view, the reconstruction
 filter, the standard views. The mesh is a parameter of it (``$mesh``). :class:`Scene` adds what the XML cannot say:
-where a view stands and how its lights are turned.
+where a view stands and how its lights are turned. Files named ``*_sdf.xml`` hold Φ on a grid instead of a mesh, see
+:mod:`genmf_mi.sdf_scene`.
 """
 
 from __future__ import annotations
@@ -19,6 +20,10 @@ import numpy as np
 from genmf_mi import variant
 from genmf_mi.errors import SceneError
 
+MESH, GRID = "mesh", "grid"
+"""What a scene file is around: the name of its parameter."""
+_PARAMETERS = {MESH: (MESH,), GRID: (GRID, "half", "x", "y", "z")}
+_SHAPE = {MESH: "a `ply`", GRID: "an `sdfgrid`"}
 START = "start from the output of `genmf-mi scene`."
 MARGIN = 1.04
 """The frame is this much wider than the object's bounding sphere."""
@@ -129,6 +134,8 @@ def load(
     samples: int | None = None,
     attribute: str = "",
     silhouettes: bool = False,
+    holds: str = MESH,
+    **placement: float,
 ) -> Scene:
     """Load a scene file around the PLY file ``mesh``; the variant must have been chosen (:func:`variant.use`).
 
@@ -136,6 +143,7 @@ def load(
     resolution, samples: pixels per side and samples per pixel; the file's own defaults if None.
     attribute: mesh attribute that multiplies the albedo, for rendering the textured object.
     silhouettes: also differentiate silhouettes; the image then has no geometry buffers.
+    holds, placement: of Φ on a grid, for :func:`genmf_mi.sdf_scene.load`.
 
     Raises:
         SceneError: the file is missing, is not XML, or lacks the material or a sensor.
@@ -143,8 +151,8 @@ def load(
     import mitsuba as mi
 
     xml = Path(xml)
-    defaults = read_defaults(xml)
-    settings = {"mesh": str(mesh), "resolution": resolution, "samples": samples}
+    defaults = read_defaults(xml, holds)
+    settings = {holds: str(mesh), "resolution": resolution, "samples": samples, **placement}
     settings = {k: str(v) for k, v in settings.items() if k in defaults and v is not None}
     try:
         scene = mi.load_file(str(xml), **settings)
@@ -171,11 +179,11 @@ def load(
     if width != height:
         raise SceneError(f"the image of {xml} must be square, not {width} × {height}: set both to $resolution.")
     params = mi.traverse(scene)
-    needed = [f"{sensor.id()}.x_fov", variant.vertex_key(shape.id()), *variant.light_keys(shape.id())]
+    needed = [f"{sensor.id()}.x_fov", variant.shape_key(holds, shape.id()), *variant.light_keys(shape.id())]
     if missing := [key for key in needed if key not in params]:
         raise SceneError(
-            f"{xml} has no parameter {missing[0]}: the sensor must be `perspective`, the shape a `ply` that holds its "
-            f"material, and both must have an id. {START.capitalize()}"
+            f"{xml} has no parameter {missing[0]}: the sensor must be `perspective`, the shape {_SHAPE[holds]} that "
+            f"holds its material, and both must have an id. {START.capitalize()}"
         )
     fov = float(np.ravel(params[needed[0]])[0])
     lights = {key: np.ravel(np.array(params[key])).astype(float) for key in needed[2:]}
@@ -191,8 +199,8 @@ def load(
     )
 
 
-def read_defaults(xml: Path) -> dict[str, str]:
-    """The ``<default>`` parameters of a scene file. Raises :class:`SceneError` if it cannot be read."""
+def read_defaults(xml: Path, holds: str = MESH) -> dict[str, str]:
+    """The ``<default>`` parameters of a scene file. Raises :class:`SceneError` if it cannot be read or used."""
     try:
         root = ElementTree.parse(xml).getroot()
     except FileNotFoundError as error:
@@ -200,8 +208,10 @@ def read_defaults(xml: Path) -> dict[str, str]:
     except (ElementTree.ParseError, OSError, UnicodeDecodeError) as error:
         raise SceneError(f"{xml} is not readable as XML: {_one_line(error)} Mend it, or {START}") from error
     defaults = {e.get("name", ""): e.get("value", "") for e in root.iter("default")}
-    if "mesh" not in defaults:
-        raise SceneError(f'{xml} has no <default name="mesh" .../>, so no mesh can be put in: see `genmf-mi scene`.')
+    if missing := [name for name in _PARAMETERS[holds] if name not in defaults]:
+        raise SceneError(
+            f'{xml} has no <default name="{missing[0]}" .../>, so no {holds} can be put in: see `genmf-mi scene`.'
+        )
     return defaults
 
 
@@ -216,13 +226,14 @@ def parse_views(text: str, source: Path | str = "views") -> tuple[View, ...]:
     return views
 
 
-def find(name: str) -> Path:
-    """The scene file of a bundled sample, or ``default.xml``."""
+def find(name: str, holds: str = MESH) -> Path:
+    """The scene file of a bundled sample, or the default one; ``NAME_sdf`` is NAME held as Φ and looks alike."""
     import genmf_mi.scenes
 
     folder = Path(genmf_mi.scenes.__file__).parent
-    path = folder / f"{name}.xml"
-    return path if path.exists() else folder / "default.xml"
+    ending = ".xml" if holds == MESH else "_sdf.xml"
+    path = folder / f"{name.removesuffix('_sdf')}{ending}"
+    return path if path.exists() else folder / f"default{ending}"
 
 
 def _one_line(error: Exception) -> str:

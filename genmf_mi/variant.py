@@ -18,6 +18,11 @@ def vertex_key(shape_id: str) -> str:
     return f"{shape_id}.vertex_positions"
 
 
+def shape_key(holds: str, shape_id: str) -> str:
+    """What says how the shape is, a ``mesh`` or a ``grid``."""
+    return vertex_key(shape_id) if holds == "mesh" else f"{shape_id}.grid"
+
+
 def light_keys(shape_id: str) -> tuple[str, str]:
     return f"{shape_id}.bsdf.key", f"{shape_id}.bsdf.fill"
 

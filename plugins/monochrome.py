@@ -42,6 +42,10 @@ class Monochrome(PSIntegrator):
     fixed and the hit point moves with the surface, which gives the exact
     derivative wherever visibility does not change.
 
+    The shape ``sdfgrid`` can be rendered, but derivatives with respect to its
+    grid are refused: Mitsuba 3.9 scales the motion of the hit point by the
+    slope of the grid's values (see :py:mod:`genmf_mi.sdf_scene`).
+
     .. tabs::
 
         .. code-tab:: xml
@@ -105,6 +109,12 @@ class Monochrome(PSIntegrator):
         return super().render(scene, sensor, seed, spp, develop, evaluate)
 
     def render_ad(self, scene, sensor, seed, spp, mode):
+        with dr.resume_grad():
+            for shape in scene.shapes():
+                if shape.shape_type() == +mi.ShapeType.SDFGrid and dr.grad_enabled(mi.traverse(shape)['grid']):
+                    raise Exception("\"monochrome\" renders the shape \"sdfgrid\", but Mitsuba's derivatives with "
+                                    "respect to its grid are wrong. Take them through "
+                                    "genmf_mi.geometry.flexicubes, or detach the grid.")
         sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
         self.aim(scene, sensor)
         return super().render_ad(scene, sensor, seed, spp, mode)

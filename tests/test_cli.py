@@ -19,7 +19,7 @@ from genmf_mi import batch, cli, displacement, evaluate, progress, scene, target
 from genmf_mi.config import PRESETS, RefineConfig
 
 HEAVY = {"mitsuba", "drjit", "torch", "pymeshlab", "matplotlib", "igl"}
-COMMANDS = ("refine", "evaluate", "batch", "sweep", "scene", "samples", "stress", "weights", "doctor")
+COMMANDS = ("refine", "evaluate", "batch", "sweep", "convert", "scene", "samples", "stress", "weights", "doctor")
 
 
 pytestmark = pytest.mark.usefixtures("workplace")

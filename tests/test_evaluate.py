@@ -24,6 +24,7 @@ VIEWS = (View(0, 20), View(180, -10))
 SETS = {
     path.stem: scene.parse_views(scene.read_defaults(path)["views"])
     for path in sorted(Path(genmf_mi.scenes.__file__).parent.glob("*.xml"))
+    if not path.stem.endswith("_sdf")
 }
 
 

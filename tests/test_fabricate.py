@@ -124,7 +124,7 @@ def test_two_writes_of_meshes_are_the_same_bytes(tmp_path, part):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
 
-@pytest.mark.parametrize("name", ["_write_3mf", "_write_stl", "_write_glb"])
+@pytest.mark.parametrize("name", ["_write_3mf", "_write_stl", "write_glb"])
 def test_a_file_that_reads_back_differently_is_not_left_behind(tmp_path, part, monkeypatch, name):
     honest = getattr(fabricate, name)
 
@@ -138,7 +138,7 @@ def test_a_file_that_reads_back_differently_is_not_left_behind(tmp_path, part, m
     assert not list(tmp_path.glob(".*"))
 
 
-@pytest.mark.parametrize("name", ["_write_3mf", "_write_stl", "_write_glb"])
+@pytest.mark.parametrize("name", ["_write_3mf", "_write_stl", "write_glb"])
 def test_a_full_disk_leaves_the_old_file(tmp_path, part, monkeypatch, full_disk, name):
     _write(tmp_path, part)
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}

@@ -294,6 +294,16 @@ def hausdorff(vertices: np.ndarray, faces: np.ndarray, field, points: np.ndarray
     return max(float(mesh.distance(points, vertices, faces).max()), float(back))
 
 
+def share_outwards(vertices: np.ndarray, faces: np.ndarray, field) -> float:
+    """Share of the area whose normal looks to where Φ grows."""
+    corner = torch.tensor(vertices[faces], dtype=torch.float64)
+    normal = torch.linalg.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    centre = corner.mean(dim=1).requires_grad_(True)
+    (slope,) = torch.autograd.grad(field(centre).sum(), centre)
+    area = normal.norm(dim=1)
+    return float(area[(normal * slope).sum(dim=1) > 0].sum() / area.sum())
+
+
 @pytest.mark.parametrize("field", [ball, torus, box, gyroid])
 def test_convergence_beside_marching_cubes(field):
     """Hausdorff errors at 16, 32 and 64 cubes per axis: second order where the surface is smooth, first where it has
@@ -308,12 +318,14 @@ def test_convergence_beside_marching_cubes(field):
         marched, theirs, *_ = marching_cubes(phi.numpy(), 0.0)
         errors.append([hausdorff(v, f, field, points) for v, f in ((vertices, faces), (2 * marched / n - 1, theirs))])
         assert mesh.volume(vertices, faces) > 0
+        assert share_outwards(vertices, faces, field) > (0.99 if n == 64 else 0.95)
     if field in VOLUMES:
         assert mesh.volume(vertices, faces) == pytest.approx(VOLUMES[field], rel=0.01)
     errors = np.array(errors)
     rate, their_rate = np.log2(errors[0] / errors[-1]) / np.log2(cells[-1] / cells[0])
     print(f"{field.__name__}: {errors.tolist()} rates {rate:.2f} {their_rate:.2f}")
     assert rate > (1.7 if field in (ball, torus) else 0.8)
+    assert rate > their_rate - 0.1
     assert (errors[:, 0] < 2 * errors[:, 1]).all()
 
 

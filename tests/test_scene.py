@@ -14,7 +14,8 @@ from genmf_mi import bridge, samples, scene, variant
 from genmf_mi.errors import AssetError, SceneError
 from genmf_mi.scene import View
 
-BUNDLED = sorted(Path(genmf_mi.scenes.__file__).parent.glob("*.xml"))
+FILES = sorted(Path(genmf_mi.scenes.__file__).parent.glob("*.xml"))
+BUNDLED = [path for path in FILES if not path.stem.endswith("_sdf")]
 DEFAULT = scene.find("default").read_text()
 
 
@@ -77,6 +78,20 @@ class TestBundledFiles:
     def test_is_named_after_a_sample(self, path):
         assert path.stem == "default" or path.stem in samples.NAMES
         assert ElementTree.parse(path).getroot().find("default").get("name") == "mesh"
+
+
+@pytest.mark.parametrize("path", BUNDLED, ids=lambda path: path.stem)
+def test_grid_scenes_are_those_of_meshes(path):
+    """Camera, views, lights and material are the same; only the shape is another."""
+    mesh, grid = (ElementTree.parse(p).getroot() for p in (path, path.with_name(f"{path.stem}_sdf.xml")))
+    assert len(FILES) == 2 * len(BUNDLED)
+    for name in ("integrator", "sensor", "shape/bsdf"):
+        assert ElementTree.tostring(mesh.find(name)) == ElementTree.tostring(grid.find(name))
+    assert grid.find("shape").get("type") == "sdfgrid" and grid.find("shape").get("id") == mesh.find("shape").get("id")
+    defaults = [{e.get("name"): e.get("value") for e in root.iter("default")} for root in (mesh, grid)]
+    assert defaults[1].pop("grid") == defaults[0].pop("mesh").replace("mesh", "grid").replace(".ply", ".vol")
+    assert [defaults[1].pop(name) for name in ("half", "x", "y", "z")] == ["1", "0", "0", "0"]
+    assert defaults[0] == defaults[1]
 
 
 class TestLoaded:

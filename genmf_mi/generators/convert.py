@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from genmf_mi import solid
@@ -11,16 +13,19 @@ from genmf_mi.generators.asset import SdfAsset
 from genmf_mi.stress.distance import lost_fraction, signed_distance
 
 
-def convert(asset: Asset, samples: int = 129) -> SdfAsset:
+def convert(asset: Asset, samples: int = 129, say: Callable[[str], None] = lambda text: None) -> SdfAsset:
     """The solid that the mesh route would refine, as an exact distance field; colours stay those of ``asset``.
 
     Args:
         samples: per axis. What is thinner than two cells may be lost: under ``report["lost_fraction"]`` of the surface.
+        say: is told what is being done.
 
     Raises:
         SolidError: no solid can be made of it, or a grid this coarse sees nothing of it.
     """
+    say("making it solid")
     body = solid.solidify(asset)
+    say(f"measuring distances on {samples}³ samples")
     frame = Frame.of(body.vertices, size_mm=1.0)
     vertices = frame.normalise(body.vertices)
     phi = signed_distance(vertices, body.faces, samples)

@@ -122,9 +122,10 @@ def save(shape: SdfAsset, path: str | Path) -> Path:
         if path.suffix.lower() == ".npz":
             np.savez_compressed(temporary, **arrays)
         else:
-            from safetensors.numpy import save_file
+            from safetensors.numpy import save as serialize
 
-            save_file({key: np.ascontiguousarray(array) for key, array in arrays.items()}, temporary)
+            # Its own writer raises an error of its own kind when the disk is full
+            temporary.write_bytes(serialize({key: np.ascontiguousarray(array) for key, array in arrays.items()}))
     return path
 
 
