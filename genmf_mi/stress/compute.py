@@ -29,22 +29,31 @@ def bfloat16_on(device: torch.device, precision: str = "auto") -> bool:
     return bool(there.get("avx512_bf16") or there.get("amx_bf16"))
 
 
-def log_stress(network: StressNetwork, phi: Tensor, bfloat16: bool) -> Tensor:
-    """log(1 + σ/k) ``[B,1,X,Y,Z]`` for Φ of that shape on the network's device, in the type of Φ; differentiable."""
+def log_stress(network: StressNetwork, phi: Tensor, bfloat16: bool, coarse: Tensor | None = None) -> Tensor:
+    """log(1 + σ/k) ``[B,1,X,Y,Z]`` for Φ of that shape on the network's device, in the type of Φ; differentiable.
+
+    coarse: of the same shape, for a network that asks for it.
+    """
     with torch.autocast(phi.device.type, torch.bfloat16, enabled=bfloat16):
-        return network(phi).to(phi.dtype)
+        return network(phi, coarse).to(phi.dtype)
 
 
 def stress(
-    network: StressNetwork, phi: Tensor, bfloat16: bool, box: tuple[slice, slice, slice] | None = None
+    network: StressNetwork,
+    phi: Tensor,
+    bfloat16: bool,
+    box: tuple[slice, slice, slice] | None = None,
+    coarse: Tensor | None = None,
 ) -> Tensor:
     """Von Mises in MPa ``[1,n,n,n]`` for Φ of that shape; zero outside of the window, differentiable.
 
     box: the window; :func:`network.window` of Φ if not given. Hold on to one while a shape is being changed, as the
     field jumps a little where the window does.
+    coarse: ``[1,n,n,n]`` in MPa, for a network that asks for it.
     """
     place = (slice(None), *(box or window(phi)))
     field = torch.zeros_like(phi)
-    inner = phi[place][None].to(next(network.parameters()).device)
-    field[place] = to_stress(log_stress(network, inner, bfloat16))[0].clamp_min(0).to(phi.device)
+    device = next(network.parameters()).device
+    inner, known = (None if x is None else x[place][None].to(device) for x in (phi, coarse))
+    field[place] = to_stress(log_stress(network, inner, bfloat16, known))[0].clamp_min(0).to(phi.device)
     return field

@@ -6,12 +6,13 @@
                                                                  pool    up
                                                                  └─ Res3DBlock, SE, + mean ─┘
 
-As in the paper but for three settings. The body's box is cut out of the grid first (:func:`window`), as nine samples in
+As in the paper but for four settings. The body's box is cut out of the grid first (:func:`window`), as nine samples in
 ten are air. The compact network gathers blocks of 2³ samples into channels on the way in and spreads them out on the
 way out, so that its convolutions run at half the resolution while it sees and tells every sample. And it is given
 three more channels (:class:`~genmf_mi.stress.layers.Physics`): how far the body has cooled, how firmly the bed holds
-it, and the height above the bed. A network of the paper's size may learn these from many shapes; a small one does not
-learn them from a few hundred.
+it, and the height above the bed; and the stress on a coarse mesh (:mod:`genmf_mi.stress.coarse`), to which it adds what
+that mesh does not see. A network of the paper's size may learn all this from many shapes; a small one does not learn
+it from a few hundred.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from genmf_mi.errors import ConfigError
+from genmf_mi.stress.coarse import EDGE_MM
 from genmf_mi.stress.layers import (
     GeometricGradient,
     GeometryFusion,
@@ -51,6 +53,7 @@ class Architecture:
     side: samples along the side of the blocks that become channels; 1 for none.
     poolings: max-poolings, each of which halves the resolution.
     physics: give the network what loads the body and what holds it, beside what it looks like.
+    coarse_mm: edge of the coarse mesh whose stress is given to the network, and added to; 0 for none.
     grid: samples per axis of the grid [-1, 1]³ that Φ comes on.
 
     Raises:
@@ -61,6 +64,7 @@ class Architecture:
     side: int = 1
     poolings: int = 4
     physics: bool = False
+    coarse_mm: float = 0.0
     grid: int = 129
 
     def __post_init__(self) -> None:
@@ -80,13 +84,15 @@ class Architecture:
         return [self.width * min(2**level, 8) for level in range(self.poolings + 1)]
 
 
-PRESETS = {"paper": Architecture(56), "compact": Architecture(24, side=2, physics=True)}
+PRESETS = {"paper": Architecture(56), "compact": Architecture(24, side=2, physics=True, coarse_mm=EDGE_MM)}
 """``paper``: 46.7 M parameters, 3.4 TFLOP forward at 129³. ``compact``: 8.6 M, 92 GFLOP in the largest window and half
 of that in the usual one; 1.2 GB with the backward pass."""
 
 
 class StressNetwork(nn.Module):
     """Φ ``[B,1,X,Y,Z]`` in normalised units (negative inside, y up) to log(1 + σ/k) ``[B,1,X,Y,Z]``, k = 3 MPa.
+
+    ``coarse``, for an architecture that asks for it: von Mises on a coarse mesh in MPa, of the shape of Φ.
 
     X, Y, Z may be odd; none may be below side · 2^poolings, and one must be twice that. The result means something
     where Φ ≤ 0. Φ is float32; under autocast the result has the lower precision.
@@ -98,25 +104,33 @@ class StressNetwork(nn.Module):
         side, channels = architecture.side, architecture.channels
         self.geometry = GeometricGradient(2.0 / (architecture.grid - 1))
         self.physics = Physics(2.0 / (architecture.grid - 1), side) if architecture.physics else None
-        entering = 5 * side**3 + (Physics.CHANNELS if architecture.physics else 0)
+        entering = (6 if architecture.coarse_mm else 5) * side**3 + (Physics.CHANNELS if architecture.physics else 0)
         self.down = nn.ModuleList(map(Res3DBlock, [entering, *channels[:-1]], channels))
         self.recalibrate = SqueezeExcitation(channels[-1])
         self.up = nn.ModuleList(map(Up, channels[:0:-1], channels[-2::-1]))
         self.fusion = GeometryFusion(channels[0], side)
 
-    def forward(self, phi: Tensor) -> Tensor:
-        """Raises :class:`ConfigError` for a field too small to be pooled."""
+    def forward(self, phi: Tensor, coarse: Tensor | None = None) -> Tensor:
+        """Raises :class:`ConfigError` for a field too small to be pooled, or without the coarse stress it asks for."""
         least = self.architecture.least
         if phi.dim() != 5 or phi.shape[1] != 1 or min(phi.shape[2:]) < least or max(phi.shape[2:]) < 2 * least:
             raise ConfigError(
                 f"Φ must be [B,1,X,Y,Z] with sides of at least {least}, one of {2 * least}, not {list(phi.shape)}."
             )
-        shape = phi.shape[2:]
-        rest = [-n % self.architecture.side for n in shape]
-        features = self.geometry(F.pad(phi, (0, rest[2], 0, rest[1], 0, rest[0]), mode="replicate"))
-        phi, blocks = features[:, :1], to_blocks(features, self.architecture.side)
+        if bool(self.architecture.coarse_mm) != (coarse is not None):
+            raise ConfigError("this network is given the stress on a coarse mesh, or is not, against its architecture.")
+        shape, side = phi.shape[2:], self.architecture.side
+
+        def padded(field: Tensor) -> Tensor:
+            rest = [-n % side for n in shape]
+            return F.pad(field, (0, rest[2], 0, rest[1], 0, rest[0]), mode="replicate")
+
+        features = self.geometry(padded(phi))
+        phi, blocks = features[:, :1], to_blocks(features, side)
         if self.physics is not None:
             blocks = torch.cat([blocks, self.physics(phi)], dim=1)
+        if coarse is not None:
+            blocks = torch.cat([blocks, to_blocks(padded(to_target(coarse)), side)], dim=1)
         x = self.down[0](blocks)
         skips = []
         for block in self.down[1:]:
@@ -125,7 +139,8 @@ class StressNetwork(nn.Module):
         x = with_global_descriptor(self.recalibrate(x))
         for up in self.up:
             x = up(x, skips.pop())
-        return self.fusion(x, phi)[:, :, : shape[0], : shape[1], : shape[2]]
+        told = self.fusion(x, phi)[:, :, : shape[0], : shape[1], : shape[2]]
+        return told if coarse is None else told + to_target(coarse)
 
     def settings(self) -> dict:
         return asdict(self.architecture)

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from genmf_mi.frame import Frame
 from genmf_mi.stress import compute, distance, domain, tetrahedra, weights
+from genmf_mi.stress.coarse import coarse_stress
 from genmf_mi.stress.fem import Settings, frame_of
 from genmf_mi.stress.reader import rebuilt
 from genmf_mi.stress.statistics import SURFACE_BAND_MM
@@ -87,9 +88,25 @@ class Predictor:
         self.about = about
         self.settings = weights.settings_of(about["simulation"])
 
-    def field(self, phi: Tensor, box: tuple[slice, slice, slice] | None = None) -> Tensor:
-        """Von Mises in MPa ``[1,n,n,n]`` for Φ of that shape; differentiable, see :func:`compute.stress`."""
-        return compute.stress(self.network, phi, self.bfloat16, box)
+    def coarse(self, phi: Tensor) -> Tensor | None:
+        """Von Mises on a coarse mesh in MPa ``[1,n,n,n]`` for Φ of that shape; None if the network does not ask for it.
+
+        Raises:
+            SolveError: a solve did not converge.
+        """
+        edge = self.network.architecture.coarse_mm
+        if not edge:
+            return None
+        known = coarse_stress(phi.detach().cpu()[0].numpy(), self.settings, edge)
+        return torch.from_numpy(known)[None].to(phi)
+
+    def field(self, phi: Tensor, box: tuple[slice, slice, slice] | None = None, coarse: Tensor | None = None) -> Tensor:
+        """Von Mises in MPa ``[1,n,n,n]`` for Φ of that shape; differentiable, see :func:`compute.stress`.
+
+        coarse: as by :meth:`coarse`, for Φ if not given. It has no derivatives. Hold on to that of the shape before
+        while its surface is being changed.
+        """
+        return compute.stress(self.network, phi, self.bfloat16, box, self.coarse(phi) if coarse is None else coarse)
 
     def predict(self, vertices: np.ndarray, faces: np.ndarray) -> Prediction:
         """The field of the solid that a surface encloses, as :func:`genmf_mi.stress.fem.simulate` would give it.

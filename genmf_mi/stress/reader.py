@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -15,9 +16,11 @@ from torch.utils.data import Dataset
 from genmf_mi.errors import ConfigError
 from genmf_mi.files import atomic
 from genmf_mi.stress import codec
+from genmf_mi.stress.coarse import coarse_stress
 from genmf_mi.stress.dataset import FORMAT, read_index
 from genmf_mi.stress.distance import BAND
 from genmf_mi.stress.layers import REACH_CELLS
+from genmf_mi.stress.weights import settings_of
 
 SYMMETRIES = 8
 """Quarter turns about the vertical, each with and without a mirror image; the physics cannot tell them apart."""
@@ -71,8 +74,9 @@ class StressSamples(Dataset):
         split: ``train``, ``validation`` or ``test``. Variants of one shape are all in one split.
         augment: take each sample in one of its eight symmetries, at random from torch's generator.
         stride: keep every ``stride``-th sample of the grid, 2 makes 65³ of 129³.
-        cache: a folder for decoded samples (9 MB each at 129³), which are then mapped into memory: unpacking and
-            rebuilding one takes half a second.
+        cache: a folder for decoded samples (13 MB each at 129³), which are then mapped into memory: unpacking and
+            rebuilding one takes half a second, and its coarse stress two.
+        coarse_mm: edge of the mesh for :meth:`with_coarse`, 0 for none.
 
     Raises:
         ConfigError: no such split, no samples in it, or the samples are of another format.
@@ -85,6 +89,7 @@ class StressSamples(Dataset):
         augment: bool = False,
         stride: int = 1,
         cache: str | Path | None = None,
+        coarse_mm: float = 0.0,
     ) -> None:
         if split not in ("train", "validation", "test"):
             raise ConfigError(f"split must be train, validation or test, not {split!r}.")
@@ -100,6 +105,9 @@ class StressSamples(Dataset):
             )
         kind = hashlib.sha256(json.dumps([DECODING, self.settings], sort_keys=True).encode()).hexdigest()[:16]
         self.cache = None if cache is None else Path(cache) / kind
+        self.coarse_mm = coarse_mm
+        self.simulation = settings_of(self.settings["simulation"])
+        self._item = {record["index"]: item for item, record in enumerate(self.records)}
 
     def __len__(self) -> int:
         return len(self.records)
@@ -110,16 +118,35 @@ class StressSamples(Dataset):
         Raises:
             OutputError: the cache cannot be written to. ConfigError: the sample's file is missing or damaged.
         """
+        both = self._cached(item, "", lambda: np.stack(self._decoded(item)))
+        return both[0], both[1]
+
+    def coarse(self, item: int) -> np.ndarray:
+        """Von Mises on a coarse mesh in MPa, float16 ``[n,n,n]``: see :func:`coarse.coarse_stress`.
+
+        Raises:
+            OutputError: the cache cannot be written to.
+        """
+
+        def solve() -> np.ndarray:
+            return coarse_stress(self.arrays(item)[0], self.simulation, self.coarse_mm).astype(np.float16)
+
+        return self._cached(item, f"-{self.coarse_mm:g}", solve)
+
+    def before(self, item: int) -> int:
+        """The item that is the same shape without relief; ``item`` itself if that is not there."""
+        return self._item.get(self.records[item]["index"] // 2 * 2, item)
+
+    def _cached(self, item: int, kind: str, make: Callable[[], np.ndarray]) -> np.ndarray:
         if self.cache is None:
-            return self._decoded(item)
-        path = self.cache / f"{self.records[item]['index']:06d}.npy"
+            return make()
+        path = self.cache / f"{self.records[item]['index']:06d}{kind}.npy"
         try:
-            both = np.load(path, mmap_mode="r")
+            return np.load(path, mmap_mode="r")
         except (OSError, ValueError, EOFError):
             with atomic(path) as temporary:
-                np.save(temporary, np.stack(self._decoded(item)))
-            both = np.load(path, mmap_mode="r")
-        return both[0], both[1]
+                np.save(temporary, make())
+            return np.load(path, mmap_mode="r")
 
     def _decoded(self, item: int) -> tuple[np.ndarray, np.ndarray]:
         path = self.folder / self.records[item]["file"]
@@ -132,13 +159,27 @@ class StressSamples(Dataset):
             raise ConfigError(f"{path} cannot be read ({error}); make the data set again or restore it.") from error
 
     def __getitem__(self, item: int) -> tuple[torch.Tensor, torch.Tensor]:
+        return self._tensors(self.arrays(item))
+
+    def with_coarse(self, item: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
+        """Φ, von Mises, and :meth:`coarse`, None without ``coarse_mm``.
+
+        Half of the samples with relief, at random from torch's generator, are given the coarse stress of the shape
+        without: that is what is known of a shape that is being refined.
+        """
+        if not self.coarse_mm:
+            return *self[item], None
+        known = self.before(item) if self.augment and torch.rand(()) < 0.5 else item
+        return self._tensors((*self.arrays(item), self.coarse(known)))
+
+    def _tensors(self, fields: tuple[np.ndarray, ...]) -> tuple[torch.Tensor, ...]:
+        """Strided, in one and the same symmetry, as float32 ``[1,n,n,n]``."""
         symmetry = int(torch.randint(SYMMETRIES, ())) if self.augment else 0
         step = self.stride
-        phi, stress = (
+        return tuple(
             torch.from_numpy(turned(field[::step, ::step, ::step], symmetry).astype(np.float32))[None]
-            for field in self.arrays(item)
+            for field in fields
         )
-        return phi, stress
 
 
 def read_settings(folder: Path) -> dict:

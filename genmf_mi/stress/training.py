@@ -30,7 +30,7 @@ from genmf_mi.files import atomic, write_text
 from genmf_mi.stress import domain, metrics, weights
 from genmf_mi.stress.compute import bfloat16_on, device_of, log_stress, stress
 from genmf_mi.stress.curves import write_curves
-from genmf_mi.stress.network import network, to_target, window
+from genmf_mi.stress.network import PRESETS, network, to_target, window
 from genmf_mi.stress.reader import StressSamples
 from genmf_mi.stress.train_config import TrainConfig
 
@@ -79,8 +79,11 @@ def train(
         WeightsError: those to start from are missing, damaged, or of another network or protocol.
         OutputError: ``out`` holds a training already, or nothing to resume, or cannot be written to.
     """
+    coarse_mm = PRESETS[config.preset].coarse_mm
     samples = {
-        split: StressSamples(data, split, augment=split == "train", stride=config.stride, cache=cache)
+        split: StressSamples(
+            data, split, augment=split == "train", stride=config.stride, cache=cache, coarse_mm=coarse_mm
+        )
         for split in ("train", "validation")
     }
     _claim(out, _record(config, samples), resume, force)
@@ -141,10 +144,11 @@ class _Training:
         self.net.train()
         total = 0.0
         for _ in range(self.config.batch):  # one by one, as no two bodies fill the same box
-            phi, true = self.samples["train"][next(order)]
+            phi, true, coarse = self.samples["train"].with_coarse(next(order))
             box = (None, slice(None), *window(phi))
-            phi, target = phi[box].to(self.device), to_target(true[box]).to(self.device)
-            loss = metrics.masked_mse(log_stress(self.net, phi, self.bfloat16), target, phi, self.config.tail)
+            phi, true, coarse = (None if x is None else x[box].to(self.device) for x in (phi, true, coarse))
+            told = log_stress(self.net, phi, self.bfloat16, coarse)
+            loss = metrics.masked_mse(told, to_target(true), phi, self.config.tail)
             (loss / self.config.batch).backward()
             total += float(loss.detach())
         norm = float(torch.nn.utils.clip_grad_norm_(self.net.parameters(), CLIP))
@@ -161,8 +165,9 @@ class _Training:
     def _validate(self) -> None:
         self.net.eval()
         validation = self.samples["validation"]
+        known = (validation.with_coarse(item)[2] for item in range(len(validation)))
         rows = metrics.score(
-            lambda phi: stress(self.net, phi, self.bfloat16),
+            lambda phi: stress(self.net, phi, self.bfloat16, coarse=next(known)),
             validation,
             lambda item: self.watcher.validating(item, len(validation)),
         )

@@ -1,0 +1,119 @@
+"""The coarse stress that the network is given: what it is, where it reaches, and who is given which."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from test_stress_training import N, ball, write_samples
+
+from genmf_mi.errors import ConfigError
+from genmf_mi.frame import Frame
+from genmf_mi.stress import coarse, compute, fem, reader, weights
+from genmf_mi.stress.coarse import coarse_stress
+from genmf_mi.stress.network import Architecture, StressNetwork, to_stress, to_target
+from genmf_mi.stress.predictor import Predictor
+
+CELL = 2 / (N - 1)
+EDGE_MM = 10.0
+ASKING = Architecture(4, side=2, poolings=2, coarse_mm=EDGE_MM, grid=N)
+SETTINGS = fem.Settings(grid=N, size_mm=80.0)
+
+
+@pytest.fixture(scope="module")
+def phi() -> np.ndarray:
+    return ball((0.9, 0.6, 0.7))
+
+
+@pytest.fixture(scope="module")
+def known(phi: np.ndarray) -> np.ndarray:
+    return coarse_stress(phi, SETTINGS, EDGE_MM)
+
+
+def test_is_the_solver_on_a_coarse_mesh(phi: np.ndarray, known: np.ndarray) -> None:
+    """Edges are in proportion to the part: 8 mm on one of 80 mm."""
+    settings = replace(SETTINGS, edge_mm=8.0)
+    simulation = fem.simulate_distance(phi, Frame((0.0, 0.0, 0.0), 1.0, 80.0), settings, fem.Laps())
+    field, _ = simulation.on_grid()
+    assert field[phi <= 0].mean() > 0.01
+    np.testing.assert_allclose(known[phi <= 0], field[phi <= 0], rtol=1e-4)
+
+
+def test_reaches_beyond_the_surface(phi: np.ndarray, known: np.ndarray) -> None:
+    """Outside, each sample has the value of a sample close to the surface."""
+    near = (phi > 0) & (phi < 3 * CELL)
+    shell = known[(phi <= 0) & (phi > -2 * CELL)]
+    assert (known[near] >= shell.min()).all() and (known[near] <= shell.max()).all()
+    assert (known[phi > (coarse.BEYOND_CELLS + 0.1) * CELL] == 0).all()
+
+
+def test_a_body_that_the_mesh_cannot_hold_has_none() -> None:
+    x = np.linspace(-1, 1, N)[:, None, None]
+    speck = (np.sqrt(x**2 + x.T**2 + x.transpose(1, 0, 2) ** 2) - 0.04).astype(np.float32)
+    assert (coarse_stress(speck, SETTINGS, 60.0) == 0).all()
+
+
+def test_an_untrained_network_adds_nothing_of_its_own(known: np.ndarray, phi: np.ndarray) -> None:
+    """What it is given comes back where the rest says zero; odd sides too."""
+    net = StressNetwork(ASKING)
+    for parameter in net.fusion.out.parameters():
+        torch.nn.init.zeros_(parameter)
+    shape, field = (torch.from_numpy(x[None, None, :, :, 2:29]) for x in (phi, known))
+    assert torch.equal(net(shape, field), to_target(field))
+
+
+def test_is_given_to_those_who_ask(known: np.ndarray, phi: np.ndarray) -> None:
+    shape, field = (torch.from_numpy(x)[None, None] for x in (phi, known))
+    with pytest.raises(ConfigError, match="coarse mesh"):
+        StressNetwork(ASKING)(shape)
+    with pytest.raises(ConfigError, match="coarse mesh"):
+        StressNetwork(replace(ASKING, coarse_mm=0.0))(shape, field)
+    net = StressNetwork(ASKING)
+    assert not torch.equal(net(shape, field) - to_target(field), net(shape, 2 * field) - to_target(2 * field))
+
+
+def test_predictor_solves_for_it_or_holds_on_to_one(tmp_path: Path, known: np.ndarray, phi: np.ndarray) -> None:
+    torch.manual_seed(0)
+    weights.save(tmp_path / "w.safetensors", StressNetwork(ASKING), "compact", asdict(SETTINGS), {})
+    judge = Predictor(tmp_path / "w.safetensors", precision="float32")
+    shape, field = torch.from_numpy(phi)[None], torch.from_numpy(known)[None]
+    assert torch.allclose(judge.coarse(shape), field, rtol=1e-4), "to the tolerance of the solver"
+    assert torch.allclose(judge.field(shape), judge.field(shape, coarse=field), rtol=1e-3)
+    assert not torch.equal(judge.field(shape), judge.field(shape, coarse=0.5 * field))
+    net, _ = weights.load(tmp_path / "w.safetensors")
+    told = to_stress(compute.log_stress(net, shape[None], False, field[None]))[0].clamp_min(0)
+    inside = shape <= 0
+    assert torch.allclose(judge.field(shape, box=(slice(0, N),) * 3)[inside], told[inside], atol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_samples(tmp_path_factory.mktemp("coarse") / "data")
+
+
+def test_samples_with_it(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    solved = []
+
+    def stand_in(phi: np.ndarray, settings: fem.Settings, edge_mm: float) -> np.ndarray:
+        assert (settings.grid, edge_mm) == (N, EDGE_MM)
+        solved.append(phi)
+        return phi.astype(np.float32) - 2
+
+    monkeypatch.setattr(reader, "coarse_stress", stand_in)
+    samples = reader.StressSamples(data, "train", augment=True, cache=tmp_path, coarse_mm=EDGE_MM)
+    assert [samples.before(item) for item in range(5)] == [0, 0, 2, 2, 4]
+    torch.manual_seed(0)
+    own = []
+    for _ in range(40):
+        phi, _, known = samples.with_coarse(1)
+        own.append(torch.allclose(known + 2, phi, atol=2e-3))
+        phi, _, known = samples.with_coarse(2)
+        assert torch.allclose(known + 2, phi, atol=2e-3), "in the same symmetry"
+    assert 8 < sum(own) < 32, "half of those with relief are given that of the shape without"
+    assert len(solved) == 3, "kept in the cache"
+    assert reader.StressSamples(data, "train").with_coarse(0)[2] is None
+    still = reader.StressSamples(data, "train", cache=tmp_path, coarse_mm=EDGE_MM)
+    assert all(torch.allclose(k + 2, p, atol=2e-3) for p, _, k in (still.with_coarse(1) for _ in range(5)))
