@@ -109,6 +109,9 @@ class StressNetwork(nn.Module):
         self.recalibrate = SqueezeExcitation(channels[-1])
         self.up = nn.ModuleList(map(Up, channels[:0:-1], channels[-2::-1]))
         self.fusion = GeometryFusion(channels[0], side)
+        if architecture.coarse_mm:  # it starts as what it is to add to
+            for parameter in self.fusion.out.parameters():
+                nn.init.zeros_(parameter)
 
     def forward(self, phi: Tensor, coarse: Tensor | None = None) -> Tensor:
         """Raises :class:`ConfigError` for a field too small to be pooled, or without the coarse stress it asks for."""
