@@ -35,6 +35,12 @@ class Weights:
     """Deviation from the initial normals."""
     orientation: float = 1.0
     """Guard of the teacher normal: no normal may turn away."""
+    sdf_variation: float = 0.1
+    """L_sdf-tv: total variation of Φ. This and the next two are for shapes that are Φ on a grid."""
+    deviation: float = 0.1
+    """L_dev: cells whose surface crosses their edges unevenly."""
+    weight_norm: float = 0.01
+    """Size of the FlexiCubes weights."""
 
     def __post_init__(self) -> None:
         for name, weight in vars(self).items():

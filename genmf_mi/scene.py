@@ -217,11 +217,11 @@ def parse_views(text: str, source: Path | str = "views") -> tuple[View, ...]:
 
 
 def find(name: str) -> Path:
-    """The scene file of a bundled sample, or ``default.xml``."""
+    """The scene file of a bundled sample, as a mesh or as Φ on a grid, or ``default.xml``."""
     import genmf_mi.scenes
 
     folder = Path(genmf_mi.scenes.__file__).parent
-    path = folder / f"{name}.xml"
+    path = folder / f"{name.removesuffix('_sdf')}.xml"
     return path if path.exists() else folder / "default.xml"
 
 

@@ -18,6 +18,10 @@ def vertex_key(shape_id: str) -> str:
     return f"{shape_id}.vertex_positions"
 
 
+def face_key(shape_id: str) -> str:
+    return f"{shape_id}.faces"
+
+
 def light_keys(shape_id: str) -> tuple[str, str]:
     return f"{shape_id}.bsdf.key", f"{shape_id}.bsdf.fill"
 
