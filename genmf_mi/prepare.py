@@ -68,17 +68,21 @@ class Workpiece:
         """HSV value of the albedo per vertex ``[V]``, encoded for a screen."""
         return to_srgb(value(self.rgb))
 
-    def movable(self, smoothing: float, device: str) -> Movable:
+    def movable(self, config: RefineConfig, device: str) -> Movable:
         """What the refinement moves: the vertices of the part, or the field that it is extracted from."""
         from genmf_mi.geometry.mesh import Relief
         from genmf_mi.geometry.sdf import SdfGeometry
 
         surface, length = (self.vertices, self.faces), BROAD_MM / self.frame.mm_per_unit
         if isinstance(self.asset, SdfAsset):
+            # As wide in mm as on a mesh, where a vertex has six neighbours around it instead of four
+            cell_mm = 2 / self.asset.resolution * self.asset.half * self.frame.scale * self.frame.mm_per_unit
+            smoothing = 1.5 * (config.mesh_edge_mm / cell_mm) ** 2 * config.smoothing
             return SdfGeometry(self.asset, self.frame, *surface, self.normals, self.inward, self.outward,
                                smoothing=smoothing, broad=length, device=device)  # fmt: skip
+        broad = broad_smoother(*surface, length, device)
         return Relief(self.vertices, self.normals, self.faces, self.inward, self.outward, self.sideways,
-                      smoothing=smoothing, broad=broad_smoother(*surface, length, device), device=device)  # fmt: skip
+                      smoothing=config.smoothing, broad=broad, device=device)  # fmt: skip
 
 
 def prepare(

@@ -160,7 +160,7 @@ class _Job:
 
         piece, config = self.piece, self.config
         self.displaced, self.amplitude = displacement.best(piece, self.judge, self.listener.say)
-        self.relief = piece.movable(config.smoothing, self.device)
+        self.relief = piece.movable(config, self.device)
         if config.method == "relief":
             self.relief.start_from(displacement.start(piece, self.displaced))
         else:

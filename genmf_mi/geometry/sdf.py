@@ -202,9 +202,7 @@ class SdfGeometry:
         weights and deformation do not keep to by themselves."""
         with torch.no_grad():
             self.latent.copy_(torch.as_tensor(reached))
-            shares = kept and tuple(
-                torch.as_tensor(x, dtype=torch.float32, device=self.device)[:, None] for x in kept
-            )
+            shares = kept and tuple(torch.as_tensor(x, dtype=torch.float32, device=self.device)[:, None] for x in kept)
             phi, *rest = self.fields(shares)
             phi = torch.as_tensor(without_specks(phi.cpu().numpy())[0], device=self.device)
             made = self.extract(phi, *rest)
