@@ -67,9 +67,10 @@ class RefineConfig:
     samples: int = 4
     """Rays per pixel."""
     max_faces: int = 160_000
-    """Face budget of the refined mesh."""
+    """Face budget of the refined mesh; the cells of a grid decide where the shape is Φ."""
     edge_mm: float = 0.0
-    """Edge length of the refined mesh, longer if the face budget demands it; 0: what nozzle and pixels can show."""
+    """Edge length of the refined mesh (not of one out of Φ), longer if the face budget demands it; 0: what nozzle and
+    pixels can show."""
     learning_rate: float = 0.0125
     """Step on the latent heights, in normalised units."""
     smoothing: float = 30.0

@@ -119,6 +119,7 @@ def refine(
     if resume and run is None:
         raise ConfigError("there is nothing to resume without an output folder: give --out.")
 
+    seconds["load"] = time.perf_counter() - started
     with tempfile.TemporaryDirectory(prefix="genmf-") as folder:
         piece = prepare.prepare(asset, config, xml, Path(folder), references=references, say=listener.say)
         seconds |= piece.seconds
@@ -141,13 +142,13 @@ class _Job:
     def __init__(self, piece: Workpiece, config: RefineConfig, device: str, listener: Listener) -> None:
         from genmf_mi.evaluate import Judge
 
+        self._clock = time.perf_counter()
         self.piece, self.config, self.device, self.listener = piece, config, device, listener
         listener.say("rendering the references")
         self.judge = Judge(piece.judged_reference, piece.judged_part, piece.reference.views, config.networks)
         self.history: list[dict] = []
         self.balance, self.fork, self.verdict = 0.0, {}, {}
         self.without_stress: tuple[np.ndarray, np.ndarray] | None = None
-        self._clock = time.perf_counter()
 
     def lap(self) -> float:
         """Seconds since the last call."""

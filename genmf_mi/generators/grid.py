@@ -59,14 +59,14 @@ SPECK = 0.01
 """A separate body of a smaller share of the samples inside is left out."""
 
 
-def without_specks(phi: np.ndarray) -> tuple[np.ndarray, int]:
-    """``phi`` with small separate bodies emptied and cavities filled; and how many bodies and cavities."""
+def without_specks(phi: np.ndarray, share: float = SPECK) -> tuple[np.ndarray, int]:
+    """``phi`` with separate bodies below ``share`` emptied and cavities filled; and how many bodies and cavities."""
     from scipy.ndimage import label
 
     inside, count = label(phi < 0)
     sizes = np.bincount(inside.reshape(-1), minlength=count + 1)
     sizes[0] = sizes.sum()
-    small = sizes < SPECK * (phi < 0).sum()
+    small = sizes < share * (phi < 0).sum()
     phi = np.where(small[inside], -phi, phi)
     outside, cavities = label(phi >= 0)
     cavity = (outside > 0) & (outside != outside[0, 0, 0])

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from genmf_mi.generators.grid import without_specks
+from genmf_mi.generators.grid import SPECK, without_specks
 from genmf_mi.geometry.broad import broad_smoother
 from genmf_mi.geometry.field import FieldDistance, slope, weights_of
 from genmf_mi.geometry.flexicubes import WEIGHTS, FlexiCubes, weight_norm
@@ -172,7 +172,8 @@ class SdfGeometry:
 
     def finished(self, reached: np.ndarray, crossings: Crossings) -> Finished:
         """Take changes of the fields back around faces that cut through others, and extract again, until no more of
-        them are left than the initial surface has; after half of the rounds give such spots up."""
+        them are left than the initial surface has; after half of the rounds give such spots up, after all of them
+        everything."""
         from scipy.spatial import cKDTree
 
         before, first = len(crossings(self.vertices, self.faces)), None
@@ -198,13 +199,13 @@ class SdfGeometry:
         return Finished(part.vertices, part.faces, part.foot, part.normals, report)
 
     def _part(self, reached: np.ndarray, kept: tuple[np.ndarray, np.ndarray] | None) -> Finished:
-        """The surface without specks and with every vertex within the room of its point on the initial one, which
-        weights and deformation do not keep to by themselves."""
+        """The surface without specks, every vertex within the room of its point on the initial one, to which weights
+        and deformation do not keep by themselves. Bodies that were just large enough before are no specks now."""
         with torch.no_grad():
             self.latent.copy_(torch.as_tensor(reached))
             shares = kept and tuple(torch.as_tensor(x, dtype=torch.float32, device=self.device)[:, None] for x in kept)
             phi, *rest = self.fields(shares)
-            phi = torch.as_tensor(without_specks(phi.cpu().numpy())[0], device=self.device)
+            phi = torch.as_tensor(without_specks(phi.cpu().numpy(), SPECK / 3)[0], device=self.device)
             made = self.extract(phi, *rest)
         faces = made.faces.cpu().numpy().astype(np.int64)
         points = made.vertices.cpu().numpy().astype(np.float64) * self.scale + self.shift
