@@ -89,8 +89,8 @@ class TestSettings:
     def test_defaults(self, chosen):
         asset, config, options = chosen("bus.glb")
         assert (asset, config) == ("bus.glb", RefineConfig())
-        assert options == {"out": None, "quiet": False, "textured": None, "scene": None, "references": (), "verify": False,
-                           "force": False, "resume": False, "save_exr": False}  # fmt: skip
+        assert options == {"out": None, "quiet": False, "textured": None, "scene": None, "references": (),
+                           "verify": False, "force": False, "resume": False, "save_exr": False}  # fmt: skip
 
     @pytest.mark.parametrize("preset", PRESETS)
     @pytest.mark.parametrize("form", ["--preset {}", "--preset={}"])

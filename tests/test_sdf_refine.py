@@ -143,9 +143,6 @@ class TestWhole:
         assert metrics["after"]["ssim"] == pytest.approx(metrics["displacement"]["ssim"], abs=0.05)
         assert 0.2 < metrics["relief_mm"]["max"] <= CONFIG.max_relief_mm
 
-    def test_no_iterations(self, shape, two_views):
-        assert genmf_mi.refine(shape, replace(CONFIG, iterations=0), scene=two_views).metrics["solid"]["watertight"]
-
 
 class Waves:
     """Stands for a trained predictor: a smooth field, raised where the body reaches far along x."""
