@@ -55,7 +55,8 @@ class Finished:
 
 
 class Movable(Protocol):
-    """
+    """What can be refined, with
+
     latent: what the optimiser moves, a leaf.
     blocks: parts of its first axis, each of which has a step size of its own; the first moves the surface as a whole.
     initial: ``shape`` before anything has moved.
