@@ -40,12 +40,15 @@ class Buffers:
         )
 
 
-def render(scene: Scene, views: Sequence[View], vertices=None, *, seed: int = 0, samples: int = 0) -> Buffers:
+def render(
+    scene: Scene, views: Sequence[View], vertices=None, faces=None, *, seed: int = 0, samples: int = 0
+) -> Buffers:
     """Render ``views`` of the object, differentiably with respect to ``vertices``.
 
     vertices: torch ``[V,3]`` in the normalised frame, or None to leave the object where it is. The acceleration
-    structure is
-        rebuilt once for all views of the call.
+        structure is rebuilt once for all views of the call.
+    faces: torch ``[F,3]`` between these vertices, of any number; None if they are those of the last render, or those
+        that the scene was loaded with.
     seed: of the samples within the pixels; the same seed gives the same rays, for any geometry.
     samples: per pixel; the scene's own number if 0.
 
@@ -53,6 +56,7 @@ def render(scene: Scene, views: Sequence[View], vertices=None, *, seed: int = 0,
     parts of them only then, on the object as it stands. Otherwise the backward pass raises RuntimeError.
     """
     import drjit as dr
+    import mitsuba as mi
     import torch
 
     key = variant.vertex_key(scene.shape_id)
@@ -66,10 +70,13 @@ def render(scene: Scene, views: Sequence[View], vertices=None, *, seed: int = 0,
 
     @dr.wrap(source="torch", target="drjit")
     def render_moved(positions):
+        if corners is not None:
+            scene.params[variant.face_key(scene.shape_id)] = corners
         scene.params[key] = positions.array
         scene.params.update()
         return look_and_render(scene.integrator.render_attached)
 
+    corners = None if faces is None else mi.UInt32(faces.to(torch.int32).contiguous().flatten())
     images = (
         render_moved(vertices)
         if vertices is not None

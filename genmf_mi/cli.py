@@ -95,7 +95,10 @@ class Refine:
     """Turn a textured asset into a one-colour part whose relief shows the texture."""
 
     asset: tyro.conf.Positional[str]
-    """A GLB, GLTF, OBJ, PLY, 3MF or STL file, or the name of a bundled sample."""
+    """A GLB, GLTF, OBJ, PLY, 3MF or STL file, or the name of a bundled sample; or Φ on a grid: the NPZ, safetensors or
+    PT file of a generator (docs/generators.md), or the name of a sample with _sdf behind it."""
+    textured: Path | None = None
+    """The mesh that has the colours of a generator's file."""
     out: Path | None = None
     """Folder for the results; runs/NAME if not given."""
     preset: Literal["draft", "default", "paper"] = "default"
@@ -133,6 +136,7 @@ def _refine(arguments: list[str]) -> int:
         chosen.config,
         out=chosen.out,
         quiet=chosen.quiet,
+        textured=chosen.textured,
         scene=chosen.scene,
         references=tuple(chosen.reference),
         verify=chosen.verify,
@@ -201,6 +205,7 @@ def sweep(
         chosen.config,
         out=out,
         quiet=chosen.quiet,
+        textured=chosen.textured,
         scene=chosen.scene,
         references=tuple(chosen.reference),
         save_exr=chosen.save_exr,

@@ -35,6 +35,12 @@ class Weights:
     """Deviation from the initial normals."""
     orientation: float = 1.0
     """Guard of the teacher normal: no normal may turn away."""
+    sdf_variation: float = 0.1
+    """L_sdf-tv: total variation of Φ. This and the next two are for shapes that are Φ on a grid."""
+    deviation: float = 0.1
+    """L_dev: cells whose surface crosses their edges unevenly."""
+    weight_norm: float = 0.01
+    """Size of the FlexiCubes weights."""
 
     def __post_init__(self) -> None:
         for name, weight in vars(self).items():
@@ -61,9 +67,10 @@ class RefineConfig:
     samples: int = 4
     """Rays per pixel."""
     max_faces: int = 160_000
-    """Face budget of the refined mesh."""
+    """Face budget of the refined mesh; the cells of a grid decide where the shape is Φ."""
     edge_mm: float = 0.0
-    """Edge length of the refined mesh, longer if the face budget demands it; 0: what nozzle and pixels can show."""
+    """Edge length of the refined mesh (not of one out of Φ), longer if the face budget demands it; 0: what nozzle and
+    pixels can show."""
     learning_rate: float = 0.0125
     """Step on the latent heights, in normalised units."""
     smoothing: float = 30.0

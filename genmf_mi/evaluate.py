@@ -59,20 +59,22 @@ class Judge:
             self.target = on_screen(seen.grey, seen.coverage, seen.grey, seen.coverage)[1].clamp(0, 1)
             self.target_gradient = gradient_magnitude(self.target)
 
-    def render(self, vertices: Tensor) -> Tensor:
-        """``[B,1,H,W]`` the part as it is compared: encoded, aligned, clipped, 0 outside of the mask."""
+    def render(self, vertices: Tensor, faces: Tensor | None = None) -> Tensor:
+        """``[B,1,H,W]`` the part as it is compared: encoded, aligned, clipped, 0 outside of the mask.
+
+        faces: as for :func:`bridge.render`."""
         import torch
 
         with torch.no_grad():
-            part = self.look(vertices)
+            part = self.look(vertices, faces)
             return on_screen(part.grey, part.coverage, self.seen, self.mask)[0].clamp(0, 1)
 
-    def look(self, vertices: Tensor) -> bridge.Buffers:
+    def look(self, vertices: Tensor, faces: Tensor | None = None) -> bridge.Buffers:
         """The part as it is lit, before any alignment."""
         import torch
 
         with torch.no_grad():
-            return bridge.render(self.scene, self.views, vertices, seed=SEED, samples=SAMPLES)
+            return bridge.render(self.scene, self.views, vertices, faces, seed=SEED, samples=SAMPLES)
 
     def score(self, image: Tensor, networks: tuple[str, ...] | None = None) -> dict[str, float | None]:
         """:meth:`scores` of a single part."""

@@ -13,6 +13,22 @@ def peak_gb() -> float:
     return peak / (1e9 if sys.platform == "darwin" else 1e6)
 
 
+_TRIM_THRESHOLD, _TOP_PAD, _MMAP_THRESHOLD = -1, -2, -3
+"""The parameters of ``mallopt`` (malloc.h)."""
+
+
+def keep() -> None:
+    """Have the C library (glibc) use freed memory again instead of returning it to the system at once.
+
+    Every iteration takes and frees arrays of the same sizes by the dozen. Fresh pages for each of them took three
+    quarters of the time that FlexiCubes takes at 129³. :func:`give_back` still returns them.
+    """
+    options = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
+    if options is not None:
+        for parameter, size in ((_MMAP_THRESHOLD, 32 << 20), (_TRIM_THRESHOLD, 1 << 30), (_TOP_PAD, 64 << 20)):
+            options(parameter, size)
+
+
 def give_back() -> None:
     """Return freed memory to the system where the C library can (glibc).
 

@@ -4,22 +4,28 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from genmf_mi import bridge, solid, target
+from genmf_mi import bridge, solid, target, topology
 from genmf_mi import scene as scenes
 from genmf_mi.asset import Asset
 from genmf_mi.colour import to_srgb, value
 from genmf_mi.config import RefineConfig
-from genmf_mi.errors import AssetError
+from genmf_mi.errors import AssetError, SolidError
 from genmf_mi.frame import Frame
-from genmf_mi.geometry.broad import broad_part
+from genmf_mi.generators.asset import SdfAsset
+from genmf_mi.generators.grid import without_specks
+from genmf_mi.geometry.broad import broad_part, broad_smoother
 from genmf_mi.geometry.room import room
 from genmf_mi.scene import Scene
 from genmf_mi.target import Reference
+
+if TYPE_CHECKING:
+    from genmf_mi.geometry.movable import Movable
 
 BROAD_MM = 8.0
 """What is broader than this on the printed part is shape or tone, not detail."""
@@ -33,12 +39,13 @@ class Workpiece:
 
     vertices, normals ``[V,3]`` float64; faces ``[F,3]``; rgb ``[V,3]`` linear; inward, outward, sideways ``[V]``: the
     room of each vertex.
+    asset: of an :class:`SdfAsset` without specks, whose extracted surface is the initial part.
     part, reference: at the resolution of the optimisation; judged_part, judged_reference: at that of the evaluation.
     contrast: :func:`local_contrast` of the brightness, and cap_mm: the cap that it earns. report: of the solid;
     seconds: per step.
     """
 
-    asset: Asset
+    asset: Asset | SdfAsset
     frame: Frame
     vertices: np.ndarray
     faces: np.ndarray
@@ -61,9 +68,25 @@ class Workpiece:
         """HSV value of the albedo per vertex ``[V]``, encoded for a screen."""
         return to_srgb(value(self.rgb))
 
+    def movable(self, config: RefineConfig, device: str) -> Movable:
+        """What the refinement moves: the vertices of the part, or the field that it is extracted from."""
+        from genmf_mi.geometry.mesh import Relief
+        from genmf_mi.geometry.sdf import SdfGeometry
+
+        surface, length = (self.vertices, self.faces), BROAD_MM / self.frame.mm_per_unit
+        if isinstance(self.asset, SdfAsset):
+            # As wide in mm as on a mesh, where a vertex has six neighbours around it instead of four
+            cell_mm = 2 / self.asset.resolution * self.asset.half * self.frame.scale * self.frame.mm_per_unit
+            smoothing = 1.5 * (config.mesh_edge_mm / cell_mm) ** 2 * config.smoothing
+            return SdfGeometry(self.asset, self.frame, *surface, self.normals, self.inward, self.outward,
+                               smoothing=smoothing, broad=length, device=device)  # fmt: skip
+        broad = broad_smoother(*surface, length, device)
+        return Relief(self.vertices, self.normals, self.faces, self.inward, self.outward, self.sideways,
+                      smoothing=config.smoothing, broad=broad, device=device)  # fmt: skip
+
 
 def prepare(
-    asset: Asset,
+    asset: Asset | SdfAsset,
     config: RefineConfig,
     xml: Path,
     folder: Path,
@@ -71,7 +94,9 @@ def prepare(
     references: tuple = (),
     say: Callable[[str], None] = lambda text: None,
 ) -> Workpiece:
-    """Make the solid, mesh it finely and build the scenes; PLY files for Mitsuba go to ``folder``.
+    """Make the initial part and build the scenes; PLY files for Mitsuba go to ``folder``.
+
+    A mesh becomes a solid, finely meshed; of a field, the surface is taken as it is.
 
     Raises:
         AssetError: no texture and no reference images.
@@ -95,16 +120,21 @@ def prepare(
         nonlocal started
         seconds[name], started = time.perf_counter() - started, time.perf_counter()
 
-    say("making it solid")
-    body = solid.solidify(asset)
-    lap("solid")
+    if isinstance(asset, SdfAsset):
+        say("extracting the surface")
+        asset, body = extracted(asset)
+        lap("extract")
+    else:
+        say("making it solid")
+        body = solid.solidify(asset)
+        lap("solid")
 
-    say("meshing")
-    frame = Frame.of(body.vertices, config.size_mm)
-    body = solid.remesh(body, config.mesh_edge_mm / frame.mm_per_unit / frame.scale, config.max_faces)
+        say("meshing")
+        frame = Frame.of(body.vertices, config.size_mm)
+        body = solid.remesh(body, config.mesh_edge_mm / frame.mm_per_unit / frame.scale, config.max_faces)
+        lap("remesh")
     frame = Frame.of(body.vertices, config.size_mm)
     vertices, faces = frame.normalise(body.vertices), body.faces
-    lap("remesh")
 
     say("building scenes")
     radius = float(np.linalg.norm(vertices, axis=1).max())
@@ -166,6 +196,27 @@ def prepare(
         cap_mm=cap,
         seconds=seconds,
     )
+
+
+def extracted(asset: SdfAsset) -> tuple[SdfAsset, solid.Solid]:
+    """The field without specks and cavities, and its surface.
+
+    Raises:
+        SolidError: the surface is no closed manifold.
+    """
+    phi, dropped = without_specks(asset.phi)
+    asset = replace(asset, phi=phi)
+    vertices, faces = asset.surface(training=True)
+    if not solid.is_solid(vertices, faces):
+        raise SolidError(f"the surface of {asset.name} is no solid. Generate it again, or refine its mesh instead.")
+    report = {
+        "samples_per_axis": len(phi),
+        "faces": len(faces),
+        "bodies": int(topology.bodies(faces).max() + 1),
+        "specks_dropped": dropped,
+        "volume": topology.volume(vertices, faces),
+    }
+    return asset, solid.Solid(vertices, faces, asset.report | report)
 
 
 def local_contrast(vertices: np.ndarray, faces: np.ndarray, brightness: np.ndarray, length: float) -> float:

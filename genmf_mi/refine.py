@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from genmf_mi.asset import Asset
+    from genmf_mi.generators.asset import SdfAsset
     from genmf_mi.geometry.mesh import UniformAdam
     from genmf_mi.prepare import Workpiece
     from genmf_mi.stress.penalty import StressPenalty
@@ -71,9 +72,10 @@ class Result:
 
 
 def refine(
-    asset: str | Path | Asset,
+    asset: str | Path | Asset | SdfAsset,
     config: RefineConfig | None = None,
     *,
+    textured: str | Path | Asset | None = None,
     out: str | Path | None = None,
     scene: str | Path | None = None,
     references: tuple[str, ...] = (),
@@ -85,7 +87,9 @@ def refine(
 ) -> Result:
     """Turn a textured asset into a one-colour part whose relief shows the texture.
 
-    asset: a file, the name of a bundled sample, or a loaded :class:`genmf_mi.asset.Asset`.
+    asset: a file, the name of a bundled sample, a loaded :class:`genmf_mi.asset.Asset`, or a shape as a generator
+        holds it, :class:`genmf_mi.generators.asset.SdfAsset`, whose field is refined in place of a mesh's vertices.
+    textured: the mesh that has the colours of a generator's file.
     out: folder for all files; None writes nothing.
     scene: a scene file; the sample's own or ``default.xml`` if None.
     references: images to match instead of the texture, each ``image.png@azimuth,elevation``.
@@ -99,16 +103,15 @@ def refine(
     Raises:
         GenmfError: what the command line prints; see :mod:`genmf_mi.errors`.
     """
-    from genmf_mi import prepare, samples, variant, weights
+    from genmf_mi import memory, prepare, sources, variant, weights
     from genmf_mi import scene as scenes
-    from genmf_mi.asset import Asset, load
 
+    memory.keep()
     config, listener = config or RefineConfig(), listener or Listener()
     seconds, started = {}, time.perf_counter()
 
-    if not isinstance(asset, Asset):
-        listener.say("loading")
-        asset = load(samples.resolve(asset))
+    listener.say("loading")
+    asset = sources.load(asset, textured)
     device = variant.use(config.device)
     weights.require(*config.networks)
     xml = Path(scene) if scene else scenes.find(asset.name)
@@ -116,6 +119,7 @@ def refine(
     if resume and run is None:
         raise ConfigError("there is nothing to resume without an output folder: give --out.")
 
+    seconds["load"] = time.perf_counter() - started
     with tempfile.TemporaryDirectory(prefix="genmf-") as folder:
         piece = prepare.prepare(asset, config, xml, Path(folder), references=references, say=listener.say)
         seconds |= piece.seconds
@@ -138,13 +142,13 @@ class _Job:
     def __init__(self, piece: Workpiece, config: RefineConfig, device: str, listener: Listener) -> None:
         from genmf_mi.evaluate import Judge
 
+        self._clock = time.perf_counter()
         self.piece, self.config, self.device, self.listener = piece, config, device, listener
         listener.say("rendering the references")
         self.judge = Judge(piece.judged_reference, piece.judged_part, piece.reference.views, config.networks)
         self.history: list[dict] = []
         self.balance, self.fork, self.verdict = 0.0, {}, {}
-        self.without_stress: np.ndarray | None = None
-        self._clock = time.perf_counter()
+        self.without_stress: tuple[np.ndarray, np.ndarray] | None = None
 
     def lap(self) -> float:
         """Seconds since the last call."""
@@ -154,35 +158,20 @@ class _Job:
     def start(self) -> None:
         """Find the best displacement by brightness and put the relief's start there."""
         from genmf_mi import displacement
-        from genmf_mi.geometry.broad import broad_smoother
-        from genmf_mi.geometry.mesh import Relief
-        from genmf_mi.prepare import BROAD_MM
 
         piece, config = self.piece, self.config
         self.displaced, self.amplitude = displacement.best(piece, self.judge, self.listener.say)
-        self.relief = Relief(
-            piece.vertices,
-            piece.normals,
-            piece.faces,
-            piece.inward,
-            piece.outward,
-            piece.sideways,
-            smoothing=config.smoothing,
-            broad=broad_smoother(piece.vertices, piece.faces, BROAD_MM / piece.frame.mm_per_unit, self.device),
-            device=self.device,
-        )
-        self.offsets = self.displaced[:, None] * piece.normals
+        self.relief = piece.movable(config, self.device)
         if config.method == "relief":
             self.relief.start_from(displacement.start(piece, self.displaced))
+        else:
+            self.reached = self.relief.displaced(self.displaced)
 
     def optimise(self, run: Run | None, resume: bool) -> bool:
         """Stage one and, unless it is turned off, stage two. Returns whether it was interrupted."""
         from genmf_mi import memory
-        from genmf_mi.geometry.mesh import UniformAdam
 
-        relief, config = self.relief, self.config
-        adam = UniformAdam(relief.latent, config.learning_rate, floor=config.gradient_floor)
-        first = 0
+        config, adam, first = self.config, self.optimiser(), 0
         if resume:
             state, self.history = run.load()
             first = int(state["iteration"])
@@ -207,8 +196,15 @@ class _Job:
             self.listener.say("interrupted: finishing with the relief so far")
         if run:
             run.save(kept, self.history)
-        self.offsets = relief.offsets().detach().cpu().numpy().astype(np.float64)
+        self.reached = self.relief.reached()
         return interrupted
+
+    def optimiser(self) -> UniformAdam:
+        """One that has made no step yet."""
+        from genmf_mi.geometry.mesh import UniformAdam
+
+        relief, config = self.relief, self.config
+        return UniformAdam(relief.latent, config.learning_rate, floor=config.gradient_floor, blocks=relief.blocks)
 
     def steps(self, first: int, adam: UniformAdam, constrained: bool) -> Iterator[tuple[int, int, dict[str, float]]]:
         """Make the iterations from ``first`` on; yields index, stage and losses after each."""
@@ -222,13 +218,12 @@ class _Job:
 
     def stage_two(self) -> StressPenalty:
         """What tells how far the part's stress is above that of the initial shape."""
-        from genmf_mi.geometry.distance import MeshDistance
         from genmf_mi.stress.penalty import StressPenalty
         from genmf_mi.stress.predictor import Predictor
 
         predictor = Predictor(device=self.device)
-        distance = MeshDistance(self.piece.faces, predictor.settings.grid, every=1)
-        return StressPenalty(predictor, distance, self.relief.base, self.config.stress_every)
+        distance = self.relief.distance(predictor.settings.grid)
+        return StressPenalty(predictor, distance, self.relief.initial, self.config.stress_every)
 
     def step(self, index: int, adam: UniformAdam, stress: StressPenalty | None) -> dict[str, float]:
         """One view, one gradient, one step; returns the loss and its terms."""
@@ -237,16 +232,17 @@ class _Job:
 
         piece, config = self.piece, self.config
         view, reference = self.look(index)
-        vertices = self.relief.vertices()
-        image = bridge.render(piece.part, [view], vertices, seed=index)
-        terms = objective.terms(image, reference, config.weights)
+        moved = self.relief.moved()
+        image = bridge.render(piece.part, [view], moved.vertices, moved.faces, seed=index)
+        terms = objective.terms(image, reference, config.weights) | objective.weighted(moved.terms, config.weights)
         loss, told = objective.total(terms, config.weights), {}
         if stress is not None:
-            penalty, told = stress(vertices)
+            penalty, told = stress(moved.shape)
             self.balance = self.balance or self.balanced(penalty, adam)
             loss = loss + config.stress_weight * self.balance * penalty
         loss.backward()
-        adam.step(config.learning_rate * _schedule(index, config.iterations))
+        rate = config.learning_rate * _schedule(index, config.iterations)
+        adam.step(rate, self.relief.rates(index / config.iterations))
         return {
             "loss": float(loss.detach()),
             "gradient_scale": adam.scale,
@@ -262,30 +258,26 @@ class _Job:
         from genmf_mi.geometry.mesh import percentile
 
         (gradient,) = torch.autograd.grad(penalty, self.relief.latent, retain_graph=True)
-        return adam.scale / max(float(percentile(gradient.abs(), 0.99)), 1e-12)
+        return adam.scale / max(float(percentile(gradient[self.relief.blocks[0]].abs(), 0.99)), 1e-12)
 
     def verify(self, names: Collection[str]) -> None:
         """Simulate the part before, without stage two and after, as far as they are named, for the report."""
         from genmf_mi.stress import verdict
 
-        piece, shapes = self.piece, {"before": self.piece.vertices}
+        piece, shapes = self.piece, {"before": (self.piece.vertices, self.piece.faces)}
         if self.fork and "unconstrained" in names:
-            self.without_stress = self.unconstrained()
-            shapes["unconstrained"] = piece.vertices + self.without_stress
-        shapes["after"] = piece.vertices + self.offsets
+            self.without_stress = shapes["unconstrained"] = self.unconstrained()
+        shapes["after"] = self.relief.surface(self.reached)
         shapes = {name: shape for name, shape in shapes.items() if name in names}
-        self.verdict = verdict.judge(shapes, piece.faces, piece.frame, self.listener.say)
+        self.verdict = verdict.judge(shapes, piece.frame, self.listener.say)
 
-    def unconstrained(self) -> np.ndarray:
-        """Offsets ``[V,3]`` that the part would have without stage two: stage one carried on to the end."""
-        from genmf_mi.geometry.mesh import UniformAdam
-
-        config = self.config
-        adam = UniformAdam(self.relief.latent, config.learning_rate, floor=config.gradient_floor)
+    def unconstrained(self) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices and faces that the part would have without stage two: stage one carried on to the end."""
+        adam = self.optimiser()
         self.restore(self.fork, adam)
         for index, _, values in self.steps(int(self.fork["iteration"]), adam, constrained=False):
-            self.listener.iteration(index, config.iterations, values)
-        return self.relief.offsets().detach().cpu().numpy().astype(np.float64)
+            self.listener.iteration(index, self.config.iterations, values)
+        return self.relief.surface(self.relief.reached())
 
     def look(self, index: int) -> tuple:
         """The view of iteration ``index`` and what should be seen from it, a function of the seed alone."""
@@ -331,13 +323,11 @@ class _Job:
     def finish(self, run: Run | None, seconds: dict, started: float, interrupted: bool, save_exr: bool) -> Result:
         """Untangle, measure, write."""
         from genmf_mi import meshlab, results
-        from genmf_mi.geometry.untangle import untangle
 
-        piece = self.piece
         self.listener.say("checking for self-intersections")
-        offsets, tangles = untangle(piece.vertices, piece.faces, self.offsets, meshlab.self_intersections)
+        refined = self.relief.finished(self.reached, meshlab.self_intersections)
         seconds["untangle"] = self.lap()
-        return results.conclude(self, run, offsets, tangles, seconds, started, interrupted, save_exr)
+        return results.conclude(self, run, refined, seconds, started, interrupted, save_exr)
 
 
 def _schedule(index: int, count: int) -> float:

@@ -14,19 +14,24 @@ from genmf_mi.evaluate import Judge, unseen
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from genmf_mi.geometry.movable import Finished
     from genmf_mi.refine import Result, _Job
     from genmf_mi.run import Run
 
 
-def scores(job: _Job, shapes: dict[str, Tensor]) -> dict:
-    """Scores of named shapes ``[V,3]`` on the standard views and, under ``unseen``, on the unseen ones."""
+Shapes = dict[str, "tuple[Tensor, Tensor]"]
+"""By name: vertices ``[V,3]`` in the normalised frame and faces ``[F,3]``."""
+
+
+def scores(job: _Job, shapes: Shapes) -> dict:
+    """Scores of named shapes on the standard views and, under ``unseen``, on the unseen ones."""
     piece, table = job.piece, {}
     judges = {"": job.judge}
     if not piece.reference.pictures:
         judges["unseen"] = Judge(piece.judged_reference, piece.judged_part, unseen(job.judge.views), job.judge.networks)
     for group, judge in judges.items():
         job.listener.say(f"scoring{', unseen views' if group else ''}")
-        rows = judge.scores({name: judge.render(vertices) for name, vertices in shapes.items()})
+        rows = judge.scores({name: judge.render(*shape) for name, shape in shapes.items()})
         table |= {group: rows} if group else rows
     return table
 
@@ -34,8 +39,7 @@ def scores(job: _Job, shapes: dict[str, Tensor]) -> dict:
 def conclude(
     job: _Job,
     run: Run | None,
-    offsets: np.ndarray,
-    tangles: dict,
+    refined: Finished,
     seconds: dict,
     started: float,
     interrupted: bool,
@@ -48,20 +52,24 @@ def conclude(
     from genmf_mi.refine import Result
 
     piece, say = job.piece, job.listener.say
-    refined = piece.vertices + offsets
-    points = {"before": piece.vertices, "displacement": piece.vertices + job.displaced[:, None] * piece.normals}
+    displaced = piece.vertices + job.displaced[:, None] * piece.normals
+    surfaces = {"before": (piece.vertices, piece.faces), "displacement": (displaced, piece.faces)}
     if job.without_stress is not None:
-        points["unconstrained"] = piece.vertices + job.without_stress
-    points["after"] = refined
-    shapes = {name: torch.as_tensor(p, dtype=torch.float32, device=job.device) for name, p in points.items()}
-    relief_mm = np.einsum("vk,vk->v", offsets, piece.normals) * piece.frame.mm_per_unit
+        surfaces["unconstrained"] = job.without_stress
+    surfaces["after"] = (refined.vertices, refined.faces)
+    shapes = {
+        name: (torch.as_tensor(v, dtype=torch.float32, device=job.device), torch.as_tensor(f, device=job.device))
+        for name, (v, f) in surfaces.items()
+    }
+    relief_mm = np.einsum("vk,vk->v", refined.offsets, refined.normals) * piece.frame.mm_per_unit
+    rgb = piece.asset.closest_albedo(piece.frame.restore(refined.foot), refined.normals)
 
     table = scores(job, shapes)
     seconds["evaluate"] = job.lap()
 
     say("checking the part")
-    distance = np.linalg.norm(offsets, axis=1) * piece.frame.mm_per_unit
-    part_mm = piece.frame.to_print(refined)
+    distance = np.linalg.norm(refined.offsets, axis=1) * piece.frame.mm_per_unit
+    part_mm = piece.frame.to_print(refined.vertices)
     metrics = {
         "asset": piece.asset.name,
         **table,
@@ -73,16 +81,16 @@ def conclude(
         "contrast": piece.contrast,
         "cap_mm": piece.cap_mm,
         "displacement_amplitude": job.amplitude,
-        "solid": {**piece.report, **tangles, **fabricate.check(part_mm, piece.faces)},
+        "solid": {**piece.report, **refined.report, **fabricate.check(part_mm, refined.faces)},
         **({"stress": job.verdict} if job.verdict else {}),
         "iterations": len(job.history),
         "interrupted": interrupted,
     }
     result = Result(
         vertices_mm=part_mm,
-        vertices=piece.frame.restore(refined),
-        faces=piece.faces,
-        rgb=piece.rgb,
+        vertices=piece.frame.restore(refined.vertices),
+        faces=refined.faces,
+        rgb=rgb,
         relief_mm=relief_mm,
         metrics=metrics,
         history=job.history,
@@ -90,8 +98,9 @@ def conclude(
     )
     if run:
         say("writing the files")
-        metrics["files"] = fabricate.write(run.folder, refined, piece.faces, piece.frame, piece.rgb, piece.asset.name)
-        write_pictures(job, run.folder, shapes, relief_mm, metrics, save_exr)
+        files = fabricate.write(run.folder, refined.vertices, refined.faces, piece.frame, rgb, piece.asset.name)
+        metrics["files"] = files
+        write_pictures(job, run.folder, refined, shapes, rgb, relief_mm, metrics, save_exr)
     seconds["write"] = job.lap()
     metrics["seconds"] = {"total": time.perf_counter() - started, **seconds}
     metrics["peak_memory_gb"] = memory.peak_gb()
@@ -101,18 +110,25 @@ def conclude(
 
 
 def write_pictures(
-    job: _Job, folder: Path, shapes: dict[str, Tensor], relief_mm: np.ndarray, metrics: dict, save_exr: bool
+    job: _Job,
+    folder: Path,
+    refined: Finished,
+    shapes: Shapes,
+    rgb: np.ndarray,
+    relief_mm: np.ndarray,
+    metrics: dict,
+    save_exr: bool,
 ) -> None:
     """``before_after.png``, ``report.html`` and, on request, the buffers of every shape and view as OpenEXR."""
     from genmf_mi.report import Report, View, write_before_after, write_report
 
     piece, judge = job.piece, job.judge
-    shown = {name: judge.look(vertices) for name, vertices in shapes.items()}
+    shown = {name: judge.look(*shape) for name, shape in shapes.items()}
     grey, mask = (
         {name: getattr(b, channel)[:, 0].cpu().numpy() for name, b in shown.items()} for channel in ("grey", "coverage")
     )
     # The scene still holds the refined shape, which was rendered last
-    relief = bridge.picture_of(judge.scene, judge.views, piece.faces, relief_mm)
+    relief = bridge.picture_of(judge.scene, judge.views, refined.faces, relief_mm)
     colour = piece.judged_reference.colour(judge.views)
     views = [
         View(
@@ -138,15 +154,15 @@ def write_pictures(
             history=job.history,
             metrics=metrics,
             config=job.config.to_dict(),
-            vertices=shapes["after"].cpu().numpy(),
-            faces=piece.faces,
-            colours=piece.rgb,
+            vertices=refined.vertices,
+            faces=refined.faces,
+            colours=rgb,
             relief_mm=relief_mm,
             cap_mm=job.config.max_relief_mm,
             size_mm=job.config.size_mm,
             material=judge.scene.material,
             steps=piece.report,
-            original=piece.vertices,
+            original=refined.foot,
         ),
     )
     if save_exr:

@@ -23,6 +23,10 @@ def shape_key(holds: str, shape_id: str) -> str:
     return vertex_key(shape_id) if holds == "mesh" else f"{shape_id}.grid"
 
 
+def face_key(shape_id: str) -> str:
+    return f"{shape_id}.faces"
+
+
 def light_keys(shape_id: str) -> tuple[str, str]:
     return f"{shape_id}.bsdf.key", f"{shape_id}.bsdf.fill"
 

@@ -103,6 +103,37 @@ def test_gradient_against_finite_differences(shape, name):
         assert (moved.grad * motion).sum().item() == pytest.approx(expected[number].item(), rel=0.02), buffer
 
 
+@pytest.mark.parametrize("finer", [5, 3], ids=["more faces", "fewer faces"])
+def test_other_faces(tmp_path, finer):
+    """Buffers of any other size: the images of a scene that was loaded with them, and their finite differences."""
+    variant.use("cpu")
+    part = loaded(tmp_path, *seamless())
+    other = trimesh.creation.icosphere(finer)
+    vertices, faces = lumpy(other.vertices), torch.tensor(np.asarray(other.faces))
+    fresh = bridge.render(loaded(tmp_path, vertices, other.faces), VIEWS)
+    vertices = torch.tensor(vertices, dtype=torch.float32)
+    bridge.render(part, VIEWS, 0.9 * torch.tensor(seamless()[0], dtype=torch.float32))
+    seen = bridge.render(part, VIEWS, vertices, faces)
+    assert seen.coverage.sum().item() == pytest.approx(fresh.coverage.sum().item(), rel=0.01)
+
+    inside = np.stack([binary_erosion(mask > 0.999, iterations=3) for mask in seen.coverage[:, 0].numpy()])
+    noise = np.random.default_rng(1).standard_normal((2, 5, 96, 96))
+    weights = torch.tensor(gaussian_filter(noise, (0, 0, 5, 5)) * inside[:, None])
+    motion, step = motions(vertices)["bump"], 2e-3
+    with torch.no_grad():
+        ahead = torch.stack(sums(bridge.render(part, VIEWS, vertices + step * motion, faces), weights))
+        behind = torch.stack(sums(bridge.render(part, VIEWS, vertices - step * motion), weights))
+    expected = (ahead - behind) / (2 * step)
+    for number in range(3):
+        moved = vertices.clone().requires_grad_()
+        sums(bridge.render(part, VIEWS, moved, faces), weights)[number].backward()
+        assert (moved.grad * motion).sum().item() == pytest.approx(expected[number].item(), rel=0.02)
+
+    before, back = seamless(), loaded(tmp_path, *seamless())
+    again = bridge.render(part, VIEWS, torch.tensor(before[0], dtype=torch.float32), torch.tensor(before[1]))
+    torch.testing.assert_close(again.grey, bridge.render(back, VIEWS).grey, rtol=0, atol=1e-5)
+
+
 def test_views_of_one_call_add_up(shape):
     """Each view's gradient belongs to its own camera and lights, though the scene moves on before the backward pass."""
     part, vertices, _, weights = shape

@@ -89,8 +89,8 @@ class TestSettings:
     def test_defaults(self, chosen):
         asset, config, options = chosen("bus.glb")
         assert (asset, config) == ("bus.glb", RefineConfig())
-        assert options == {"out": None, "quiet": False, "scene": None, "references": (), "verify": False,
-                           "force": False, "resume": False, "save_exr": False}  # fmt: skip
+        assert options == {"out": None, "quiet": False, "textured": None, "scene": None, "references": (),
+                           "verify": False, "force": False, "resume": False, "save_exr": False}  # fmt: skip
 
     @pytest.mark.parametrize("preset", PRESETS)
     @pytest.mark.parametrize("form", ["--preset {}", "--preset={}"])
@@ -120,10 +120,12 @@ class TestSettings:
         assert config.weights == replace(PRESETS["paper"].weights, grey_l1=0.25, polarity=0.0)
 
     def test_everything_else(self, chosen):
-        _, _, options = chosen("bus.glb", "--out", "here", "--scene", "my.xml", "--reference", "a.png@0,10",
+        _, _, options = chosen("bus.npz", "--textured", "bus.glb", "--out", "here", "--scene", "my.xml", "--reference",
+                               "a.png@0,10",
                                "--reference", "b.png@-90,5", "--verify", "--force", "--save-exr",
                                "--quiet")  # fmt: skip
         assert options == {"out": Path("here"), "quiet": True, "scene": Path("my.xml"), "force": True, "resume": False,
+                           "textured": Path("bus.glb"),
                            "references": ("a.png@0,10", "b.png@-90,5"), "verify": True, "save_exr": True}  # fmt: skip
         assert chosen("bus.glb", "--resume")[2]["resume"]
 

@@ -38,6 +38,8 @@ class TestSmoother:
         np.testing.assert_array_equal(laplacian(closed, 4).toarray(), 4 * np.eye(4) - 1)
         open_ = laplacian(np.array([[0, 1, 2], [2, 1, 3]]), 4).toarray()
         np.testing.assert_array_equal(open_, [[2, -1, -1, 0], [-1, 3, -1, -1], [-1, -1, 3, -1], [0, -1, -1, 2]])
+        path = laplacian(np.array([[0, 1], [1, 2]]), 3).toarray()
+        np.testing.assert_array_equal(path, [[1, -1, 0], [-1, 2, -1], [0, -1, 1]])
 
     @pytest.mark.parametrize("smoothing", [0.0, 1.0, 30.0])
     def test_against_scipy(self, smoothing):
@@ -170,6 +172,22 @@ class TestUniformAdam:
         np.testing.assert_allclose(parameter.detach(), x, atol=1e-4)
         assert adam.steps == 10
         assert parameter.grad is None
+
+    def test_blocks_are_apart(self):
+        """Each is scaled by its own gradients and takes its share of the rate, as if it were alone."""
+        together = torch.zeros(300, requires_grad=True)
+        adam = UniformAdam(together, 0.1, blocks=(slice(0, 100), slice(100, 300)))
+        alone = [torch.zeros(count, requires_grad=True) for count in (100, 200)]
+        single = [UniformAdam(part, 0.1) for part in alone]
+        for seed in range(3):
+            gradient = torch.tensor(noise(300, seed=seed) * np.repeat([1.0, 1e-4], (100, 200)), dtype=torch.float32)
+            together.grad = gradient.clone()
+            alone[0].grad, alone[1].grad = gradient[:100].clone(), gradient[100:].clone()
+            adam.step(0.2, (1.0, 0.25))
+            single[0].step(0.2)
+            single[1].step(0.05)
+        torch.testing.assert_close(together.detach(), torch.cat([part.detach() for part in alone]))
+        assert adam.scale == single[0].scale
 
     def test_first_step_is_the_rate_where_the_gradient_is_uniform(self):
         parameter = torch.zeros(100, 3, requires_grad=True)

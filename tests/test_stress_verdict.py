@@ -32,11 +32,12 @@ KEYS = {"mean", "p99_9", "surface_band_mean", "surface_band_p99_9", "displacemen
 @pytest.fixture(scope="module")
 def judged() -> tuple[dict, list[str]]:
     """A smooth egg, much relief, and less of it."""
-    shapes = {name: ball(bumps).vertices for name, bumps in (("before", 0), ("unconstrained", 0.08), ("after", 0.03))}
+    bumps = {"before": 0.0, "unconstrained": 0.08, "after": 0.03}
+    shapes = {name: (ball(height).vertices, ball().faces) for name, height in bumps.items()}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(verdict, "EDGE_MM", 8.0)
         said = []
-        return verdict.judge(shapes, ball().faces, FRAME, said.append), said
+        return verdict.judge(shapes, FRAME, said.append), said
 
 
 def test_is_the_simulation_of_each(judged) -> None:
@@ -68,8 +69,8 @@ def test_ratios_and_what_remains(judged) -> None:
 
 
 def test_the_same_shape_twice_is_one() -> None:
-    vertices = ball().vertices
-    found = verdict.judge({"before": vertices, "after": vertices}, ball().faces, FRAME)
+    shape = (ball().vertices, ball().faces)
+    found = verdict.judge({"before": shape, "after": shape}, FRAME)
     assert found["ratio"] == {"after": pytest.approx(dict.fromkeys(KEYS, 1.0))}
     assert "remains" not in found
     summaries = found["shapes"]
@@ -79,7 +80,7 @@ def test_the_same_shape_twice_is_one() -> None:
 
 
 def test_one_shape_alone_has_no_ratio() -> None:
-    found = verdict.judge({"after": ball().vertices}, ball().faces, FRAME)
+    found = verdict.judge({"after": (ball().vertices, ball().faces)}, FRAME)
     assert list(found) == ["shapes"] and list(found["shapes"]) == ["after"]
 
 
@@ -94,5 +95,6 @@ def test_effect_by_hand() -> None:
 
 
 def test_nothing_enclosed() -> None:
+    inside_out = (ball().vertices, ball().faces[:, ::-1])
     with pytest.raises(SolidError, match="encloses nothing"):
-        verdict.judge({"before": ball().vertices, "after": ball().vertices}, ball().faces[:, ::-1], FRAME)
+        verdict.judge({"before": inside_out, "after": inside_out}, FRAME)

@@ -55,6 +55,26 @@ def sealed(phi: np.ndarray) -> tuple[np.ndarray, dict[str, int]]:
     return phi, {"samples_cut_off": int(cut.sum()), "samples_filled": int(cavity.sum())}
 
 
+SPECK = 0.01
+"""A separate body of a smaller share of the samples inside is left out."""
+
+
+def without_specks(phi: np.ndarray, share: float = SPECK) -> tuple[np.ndarray, int]:
+    """``phi`` with separate bodies below ``share`` emptied and cavities filled; and how many bodies and cavities."""
+    from scipy.ndimage import label
+
+    inside, count = label(phi < 0)
+    sizes = np.bincount(inside.reshape(-1), minlength=count + 1)
+    sizes[0] = sizes.sum()
+    small = sizes < share * (phi < 0).sum()
+    phi = np.where(small[inside], -phi, phi)
+    outside, cavities = label(phi >= 0)
+    cavity = (outside > 0) & (outside != outside[0, 0, 0])
+    least = np.abs(phi[phi != 0]).min(initial=1.0)
+    phi = np.where(cavity, -np.maximum(phi, least), phi)
+    return phi, int(small.sum()) + max(0, cavities - 1)
+
+
 def scaled(phi: np.ndarray) -> np.ndarray:
     """``phi`` times the factor that makes its median slope beside the surface one per grid unit.
 

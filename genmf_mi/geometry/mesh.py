@@ -8,16 +8,20 @@ at every iteration and not only in the end.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from genmf_mi.geometry.movable import Crossings, Finished, Moved
+from genmf_mi.geometry.untangle import untangle
 
 if TYPE_CHECKING:
     from torch import Tensor
 
 
 class Relief:
-    """Offsets from a fixed surface.
+    """Offsets from a fixed surface, a :class:`genmf_mi.geometry.movable.Movable`.
 
     base: ``[V,3]`` initial vertices, normalised frame. normals: ``[V,3]`` unit. faces: ``[F,3]``.
     inward, outward: ``[V]`` room along the normal, normalised units, not negative; a vertex with neither is pinned.
@@ -26,6 +30,8 @@ class Relief:
     broad: takes the broad part out of the heights. Shading sees slopes, so that it carries nothing, and the gradient,
         which does not see outlines move, would thin limbs with it.
     """
+
+    blocks = (slice(None),)
 
     def __init__(
         self,
@@ -45,7 +51,9 @@ class Relief:
         def tensor(x: np.ndarray) -> Tensor:
             return torch.as_tensor(np.ascontiguousarray(x), dtype=torch.float32, device=device)
 
+        self.faces = np.ascontiguousarray(faces, dtype=np.int64)
         self.base, self.normals = tensor(base), tensor(normals)
+        self.initial, self.exact = self.base, (np.asarray(base, np.float64), np.asarray(normals, np.float64))
         self.inward, self.outward, self.sideways = (
             tensor(x)[:, None].clamp_min(1e-9) for x in (inward, outward, sideways)
         )
@@ -65,9 +73,42 @@ class Relief:
         reach = (across.square().sum(dim=1, keepdim=True) / self.sideways.square() + 1e-12).sqrt()
         return room * torch.tanh(height / room) * self.normals + across * (torch.tanh(reach) / reach)
 
+    def rates(self, progress: float) -> tuple[float, ...]:
+        """The whole learning rate, always."""
+        return (1.0,)
+
     def vertices(self) -> Tensor:
         """``[V,3]`` in the normalised frame."""
         return self.base + self.offsets()
+
+    def moved(self) -> Moved:
+        """The vertices; the faces stay."""
+        vertices = self.vertices()
+        return Moved(vertices, None, vertices, {})
+
+    def distance(self, samples: int) -> Callable[[Tensor], Tensor]:
+        """See :class:`genmf_mi.geometry.distance.MeshDistance`."""
+        from genmf_mi.geometry.distance import MeshDistance
+
+        return MeshDistance(self.faces, samples, every=1)
+
+    def reached(self) -> np.ndarray:
+        """:meth:`offsets` as an array."""
+        return self.offsets().detach().cpu().numpy().astype(np.float64)
+
+    def displaced(self, heights: np.ndarray) -> np.ndarray:
+        """Offsets ``[V,3]`` along the normals."""
+        return heights[:, None] * self.exact[1]
+
+    def surface(self, reached: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices ``[V,3]`` and faces ``[F,3]``."""
+        return self.exact[0] + reached, self.faces
+
+    def finished(self, reached: np.ndarray, crossings: Crossings) -> Finished:
+        """See :func:`genmf_mi.geometry.untangle.untangle`."""
+        base, normals = self.exact
+        offsets, report = untangle(base, self.faces, reached, crossings)
+        return Finished(base + offsets, self.faces, base, normals, report)
 
     def start_from(self, heights: np.ndarray) -> None:
         """Make :meth:`offsets` ``heights [V]`` along the normals, up to 0.98 of the room."""
@@ -107,10 +148,13 @@ class Smoother:
 
 
 def laplacian(faces: np.ndarray, count: int):
-    """The combinatorial Laplacian (valence minus adjacency) as a SciPy CSR matrix ``[count,count]``."""
+    """The combinatorial Laplacian (valence minus adjacency) as a SciPy CSR matrix ``[count,count]``.
+
+    faces: ``[F,3]``, or the edges ``[E,2]`` of any other graph.
+    """
     from scipy.sparse import coo_matrix, diags
 
-    i, j = faces[:, [0, 1, 2]].ravel(), faces[:, [1, 2, 0]].ravel()
+    i, j = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     adjacency = coo_matrix((np.ones(2 * len(i)), (np.r_[i, j], np.r_[j, i])), shape=(count, count)).tocsr()
     adjacency.data[:] = 1
     return diags(np.asarray(adjacency.sum(axis=1)).ravel()).tocsr() - adjacency
@@ -153,35 +197,50 @@ class UniformAdam:
     clipped at ten times that: a vertex on a silhouette, whose gradient is a spike, must neither jump nor slow down
     all others.
 
-    scale: that of the last step. floor: added to it. Gradients well below the floor move the surface in proportion;
+    blocks: parts of the first axis that have a scale each. scale: that of the first one at the last step.
+    floor: added to it. Gradients well below the floor move the surface in proportion;
         without it, round-off would be blown up to full steps.
     """
 
     def __init__(
-        self, parameter: Tensor, rate: float, *, beta1: float = 0.9, beta2: float = 0.99, floor: float = 0.0
+        self,
+        parameter: Tensor,
+        rate: float,
+        *,
+        beta1: float = 0.9,
+        beta2: float = 0.99,
+        floor: float = 0.0,
+        blocks: tuple[slice, ...] = (slice(None),),
     ) -> None:
         import torch
 
         self.parameter, self.rate, self.beta1, self.beta2, self.floor = parameter, rate, beta1, beta2, floor
         self.first, self.second = torch.zeros_like(parameter), torch.zeros_like(parameter)
-        self.steps, self.scale = 0, 0.0
+        self.steps, self.scale, self.blocks = 0, 0.0, blocks
 
-    def step(self, rate: float | None = None) -> None:
-        """Move the parameter along its gradient and clear the gradient; ``rate`` overrides the learning rate once."""
+    def step(self, rate: float | None = None, shares: tuple[float, ...] | None = None) -> None:
+        """Move the parameter along its gradient and clear the gradient; ``rate`` overrides the learning rate once, and
+        each block takes its share of it, all of it if None."""
         import torch
+
+        rate = self.rate if rate is None else rate
 
         with torch.no_grad():
             gradient = torch.nan_to_num(self.parameter.grad, nan=0.0, posinf=0.0, neginf=0.0)
             self.parameter.grad = None
             self.steps += 1
-            limit = 10 * percentile(gradient.abs(), 0.99)
-            gradient.clamp_(-limit, limit)
-            self.first.mul_(self.beta1).add_(gradient, alpha=1 - self.beta1)
-            self.second.mul_(self.beta2).addcmul_(gradient, gradient, value=1 - self.beta2)
-            first = self.first / (1 - self.beta1**self.steps)
-            scale = (percentile(self.second, 0.99) / (1 - self.beta2**self.steps)).sqrt()
-            self.scale = float(scale)
-            self.parameter.sub_(first / (scale + self.floor + 1e-20), alpha=self.rate if rate is None else rate)
+            scales = []
+            for block, share in zip(self.blocks, shares or (1.0,) * len(self.blocks), strict=True):
+                along, first, second = gradient[block], self.first[block], self.second[block]
+                limit = 10 * percentile(along.abs(), 0.99)
+                along.clamp_(-limit, limit)
+                first.mul_(self.beta1).add_(along, alpha=1 - self.beta1)
+                second.mul_(self.beta2).addcmul_(along, along, value=1 - self.beta2)
+                scale = (percentile(second, 0.99) / (1 - self.beta2**self.steps)).sqrt()
+                step = first / (1 - self.beta1**self.steps) / (scale + self.floor + 1e-20)
+                self.parameter[block].sub_(step, alpha=rate * share)
+                scales.append(float(scale))
+            self.scale = scales[0]
 
 
 def percentile(x: Tensor, share: float) -> Tensor:

@@ -55,6 +55,11 @@ def terms(part: Buffers, reference: Buffers, weights: Weights) -> dict[str, Tens
     return {name: term() for name, term in by_name.items() if getattr(weights, name) > 0}
 
 
+def weighted(terms: dict[str, Tensor], weights: Weights) -> dict[str, Tensor]:
+    """Those of the ``terms`` that have a weight."""
+    return {name: term for name, term in terms.items() if getattr(weights, name) > 0}
+
+
 def total(values: dict[str, Tensor], weights: Weights) -> Tensor:
     """Σ λ L."""
     factors = asdict(weights)

@@ -16,13 +16,13 @@ EDGE_MM = 1.2
 
 
 def judge(
-    shapes: dict[str, np.ndarray], faces: np.ndarray, frame: Frame, say: Callable[[str], None] = lambda text: None
+    shapes: dict[str, tuple[np.ndarray, np.ndarray]], frame: Frame, say: Callable[[str], None] = lambda text: None
 ) -> dict:
-    """Simulate shapes of one topology, ``[V,3]`` each in the normalised frame, and compare them.
+    """Simulate shapes and compare them.
 
     Args:
-        shapes: some of ``before``, ``unconstrained`` (without the stress stage) and ``after``, in this order.
-        faces: ``[F,3]``.
+        shapes: some of ``before``, ``unconstrained`` (without the stress stage) and ``after``, in this order: vertices
+            ``[V,3]`` in the normalised frame and faces ``[F,3]``.
 
     Returns:
         ``shapes``: :func:`genmf_mi.stress.statistics.summary` of each. ``ratio``: each over ``before``, see
@@ -35,7 +35,7 @@ def judge(
     """
     settings = fem.Settings(size_mm=frame.size_mm, edge_mm=EDGE_MM * frame.size_mm / 100.0)
     summaries, layers, before = {}, {}, None
-    for name, vertices in shapes.items():
+    for name, (vertices, faces) in shapes.items():
         say(f"simulating the stress: {name}")
         phi = distance.signed_distance(vertices, faces, settings.grid)
         lost = distance.lost_fraction(vertices, faces, phi)

@@ -1,0 +1,286 @@
+"""Relief on Φ: the shell, the bounds, the derivatives, the end; on small grids."""
+
+from __future__ import annotations
+
+import igl
+import numpy as np
+import pytest
+import torch
+
+from genmf_mi import meshlab, solid, topology
+from genmf_mi.frame import Frame
+from genmf_mi.generators.asset import SdfAsset
+from genmf_mi.generators.grid import without_specks
+from genmf_mi.geometry import flexicubes
+from genmf_mi.geometry.field import FieldDistance, slope, weights_of
+from genmf_mi.geometry.sdf import SdfGeometry
+from genmf_mi.geometry.shell import shell
+from genmf_mi.losses.sdf import deviation, total_variation
+from genmf_mi.stress.distance import signed_distance
+
+CAP = 0.06
+SAMPLES = 33
+
+
+def grid(samples: int = SAMPLES) -> np.ndarray:
+    axis = np.linspace(-1, 1, samples)
+    return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
+
+
+def ball(samples: int = SAMPLES, radius: float = 0.7, steepness: float = 1.0, **options) -> SdfAsset:
+    phi = steepness * (np.linalg.norm(grid(samples), axis=-1) - radius)
+    return SdfAsset("ball", phi.astype(np.float32), **options)
+
+
+def generated() -> SdfAsset:
+    """A bent ellipsoid as a generator holds it: not a distance, in its own units, with deformation and weights."""
+    x, y, z = np.moveaxis(grid(), -1, 0)
+    phi = 2 * (np.sqrt((x + 0.2 * y**2) ** 2 + (1.4 * y) ** 2 + z**2) - 0.62)
+    rng = np.random.default_rng(0)
+    bend = rng.uniform(-0.3, 0.3, (SAMPLES,) * 3 + (3,)) / (SAMPLES - 1)
+    weights = rng.normal(0, 0.3, ((SAMPLES - 1) ** 3, 21))
+    return SdfAsset("blob", phi.astype(np.float32), bend.astype(np.float32), weights.astype(np.float32),
+                    centre=(1.0, 2.0, 3.0), half=0.5)  # fmt: skip
+
+
+def made(asset: SdfAsset, inward=CAP, outward=CAP, *, smoothing: float = 3.0, broad: float = 1.0):
+    vertices, faces = asset.surface(training=True)
+    frame = Frame.of(vertices, 100.0)
+    vertices = frame.normalise(vertices)
+    room = [np.broadcast_to(x, len(vertices)).astype(float) for x in (inward, outward)]
+    normals = topology.vertex_normals(vertices, faces)
+    return SdfGeometry(asset, frame, vertices, faces, normals, *room, smoothing=smoothing, broad=broad)
+
+
+def disturbed(geometry: SdfGeometry, strength: float = 1.0, seed: int = 0) -> SdfGeometry:
+    """The same with random latents, smooth in the field and free in deformation and weights."""
+    generator = torch.Generator().manual_seed(seed)
+    field, bend, weights = geometry.blocks
+    with torch.no_grad():
+        for block, size in ((field, 1.0), (bend, 0.5), (weights, 0.5)):
+            count = block.stop - block.start
+            geometry.latent[block] = strength * size * torch.randn(count, generator=generator)
+    return geometry
+
+
+@pytest.mark.parametrize("bent", [False, True])
+def test_shell_against_brute_force(bent):
+    asset = generated() if bent else ball()
+    vertices, faces = asset.surface(training=True)
+    vertices = asset.to_grid(vertices)
+    found = shell(asset.phi < 0, asset.deformation, vertices, faces, CAP)
+    cell = 2 / (SAMPLES - 1)
+    places = grid() if asset.deformation is None else grid() + asset.deformation
+    distance = topology.distance(places.reshape(-1, 3), vertices, faces)
+    np.testing.assert_array_equal(found.samples, np.flatnonzero(distance <= CAP + cell))
+    np.testing.assert_allclose(found.distance, distance[found.samples], atol=1e-12)
+    np.testing.assert_allclose(found.places, places.reshape(-1, 3)[found.samples])
+    closest = np.einsum("nc,nck->nk", found.weights, vertices[faces[found.face]])
+    np.testing.assert_allclose(np.linalg.norm(closest - found.places, axis=1), found.distance, atol=1e-6)
+
+    index = np.stack(np.unravel_index(found.samples, (SAMPLES,) * 3), axis=1)
+    apart = np.abs(index[found.edges[:, 0]] - index[found.edges[:, 1]])
+    assert (apart.sum(axis=1) == 1).all()
+    members = set(map(tuple, index))
+    pairs = sum(tuple(i + step) in members for i in index for step in np.eye(3, dtype=int))
+    assert len(np.unique(np.sort(found.edges, axis=1), axis=0)) == len(found.edges) == pairs
+
+    n = SAMPLES - 1
+    centres = (np.stack(np.unravel_index(found.cubes, (n, n, n)), axis=1) + 0.5) * cell - 1
+    np.testing.assert_allclose(found.centres, centres)
+    all_centres = (grid()[:-1, :-1, :-1] + cell / 2).reshape(-1, 3)
+    near = topology.distance(all_centres, vertices, faces) <= CAP + 0.87 * cell
+    np.testing.assert_array_equal(found.cubes, np.flatnonzero(near))
+
+
+class TestAtRest:
+    @pytest.mark.parametrize("asset", [ball(), generated()], ids=["ball", "generated"])
+    def test_is_the_assets_own_surface(self, asset):
+        geometry = made(asset)
+        now = geometry.moved()
+        np.testing.assert_array_equal(now.faces, geometry.faces)
+        np.testing.assert_allclose(now.vertices.detach(), geometry.vertices, atol=2e-6)
+        assert now.shape.detach().equal(torch.tensor(asset.phi)) and geometry.initial.equal(torch.tensor(asset.phi))
+        part = geometry.finished(geometry.reached(), meshlab.self_intersections)
+        np.testing.assert_allclose(part.vertices, geometry.vertices, atol=2e-6)
+        np.testing.assert_allclose(part.offsets, 0, atol=2e-6)
+        assert part.report["samples_held_back"] == 0
+
+    def test_weights_of_some_cubes(self):
+        """The generator's rows are looked up; a cube without any has zeros."""
+        asset = generated()
+        rows = np.full((SAMPLES - 1) ** 3, -1, np.int32)
+        rows[[5, 9]] = 1, 0
+        some = SdfAsset("some", asset.phi, weights=asset.weights[:2], rows=rows)
+        np.testing.assert_array_equal(
+            weights_of(some, np.array([5, 7, 9])), np.stack([asset.weights[1], 0 * asset.weights[0], asset.weights[0]])
+        )
+        np.testing.assert_array_equal(weights_of(asset, np.array([3, 8])), asset.weights[[3, 8]])
+        assert not weights_of(ball(), np.array([3, 8])).any()
+
+
+class TestBounds:
+    def test_phi_stays_within_the_cap(self):
+        geometry = disturbed(made(ball()), 100.0)
+        change = (geometry.moved().shape - geometry.initial).detach() * geometry.scale
+        assert 0.9 * CAP < change.abs().max() <= CAP * 1.03, "the slope of this field is one but for the sampling"
+
+    @pytest.mark.parametrize("strength", [0.3, 3.0])
+    @pytest.mark.parametrize("asset", [ball(), generated()], ids=["ball", "generated"])
+    def test_finished_is_a_solid_within_its_room(self, asset, strength):
+        """Whatever the latents are: closed, not through itself, and no vertex farther from the initial surface."""
+        part = made(asset)
+        room = [np.where(part.vertices[:, 0] > 0, CAP, 0.3 * CAP), np.where(part.vertices[:, 0] > 0, 0.5 * CAP, CAP)]
+        geometry = disturbed(made(asset, *room), strength)
+        before = len(meshlab.self_intersections(geometry.vertices, geometry.faces))
+        done = geometry.finished(geometry.reached(), meshlab.self_intersections)
+        assert solid.is_solid(done.vertices, done.faces)
+        assert len(meshlab.self_intersections(done.vertices, done.faces)) <= before
+        assert done.report["self_intersections_before"] == before
+        squared, face, _ = igl.point_mesh_squared_distance(done.vertices, geometry.vertices, geometry.faces)
+        height = np.einsum("vk,vk->v", done.offsets, done.normals)
+        inward, outward = (x[geometry.faces[face]].max(axis=1) for x in room)
+        most = np.where(height > 0, outward, inward)
+        assert (np.sqrt(squared) <= most + 1e-9).all() and np.sqrt(squared).max() > 0.4 * CAP
+        np.testing.assert_allclose(np.linalg.norm(done.normals, axis=1), 1)
+
+    def test_without_room_nothing_moves(self):
+        still = disturbed(made(ball(), 0.0, 0.0), 10.0).moved()
+        np.testing.assert_allclose(still.vertices.detach(), made(ball()).vertices, atol=1e-5)
+
+    def test_specks_and_cavities_go(self):
+        """A bubble off the ball, and one in it."""
+        phi = ball(radius=0.6).phi.copy()
+        phi[3, 3, 3], phi[16, 16, 16] = -0.1, 0.1
+        clean, count = without_specks(phi)
+        assert count == 2 and ((clean < 0) == (ball(radius=0.6).phi < 0)).all()
+        np.testing.assert_array_equal(np.abs(clean), np.abs(phi))
+        same, none = without_specks(ball().phi)
+        assert none == 0 and same is not None and np.array_equal(same, ball().phi)
+
+    def test_bodies_of_some_size_stay(self):
+        phi = np.minimum(ball(radius=0.4).phi, np.linalg.norm(grid() - 0.7, axis=-1) - 0.2)
+        assert without_specks(phi)[1] == 0
+
+
+class TestStart:
+    def test_displaced_ball_has_another_radius(self):
+        """On average to a hundredth of a cell, everywhere to a tenth."""
+        geometry = made(ball())
+        radius = np.linalg.norm(geometry.vertices, axis=1).mean()
+        for height in (0.03, -0.03):
+            vertices, faces = geometry.surface(geometry.displaced(np.full(len(geometry.vertices), height)))
+            assert solid.is_solid(vertices, faces)
+            found = np.linalg.norm(vertices, axis=1)
+            assert found.mean() == pytest.approx(radius + height, abs=6e-4) and np.ptp(found) < 6e-3
+
+    def test_of_a_field_of_any_slope(self):
+        steep = made(ball(steepness=3.0, half=2.0))
+        vertices, _ = steep.surface(steep.displaced(np.full(len(steep.vertices), 0.03)))
+        flat = made(ball())
+        other, _ = flat.surface(flat.displaced(np.full(len(flat.vertices), 0.03)))
+        np.testing.assert_allclose(vertices, other, atol=1e-4)
+
+    def test_start_keeps_detail_and_drops_what_is_broad(self):
+        geometry = made(ball(49), broad=0.3)
+        fine, broad = 0.02 * np.cos(25 * geometry.vertices[:, 1]), 0.02 * geometry.vertices[:, 0]
+        kept = []
+        for heights in (fine, broad):
+            geometry.start_from(heights)
+            kept.append(geometry.heights().detach().square().mean().sqrt().item() / np.sqrt((heights**2).mean()))
+        assert kept[0] > 0.6 and kept[1] < 0.2
+        assert not geometry.latent[geometry.blocks[1].start :].any()
+
+
+def volume(geometry: SdfGeometry, latent: torch.Tensor) -> torch.Tensor:
+    """Enclosed by the surface, weighted by a smooth function, as a function of the latent."""
+    geometry.latent = latent
+    now = geometry.moved()
+    corner = now.vertices.double()[now.faces]
+    share = torch.exp(corner.mean(dim=1)[:, 0])
+    return (share * torch.linalg.det(corner)).sum() / 6
+
+
+@pytest.mark.parametrize("block", [0, 1, 2])
+def test_gradient_against_finite_differences(block, monkeypatch):
+    """Between two changes of sign: at one, the surface jumps a little."""
+    geometry = disturbed(made(generated()), 0.3)
+    geometry.moved()
+    monkeypatch.setattr(flexicubes, "topology", lambda inside, fixed=geometry.extract.topology: fixed)
+    at = geometry.latent.detach().clone()
+    gradient = torch.autograd.grad(volume(geometry, at.clone().requires_grad_()), geometry.latent)[0]
+    direction = torch.zeros_like(at)
+    direction[geometry.blocks[block]] = torch.sign(gradient[geometry.blocks[block]])
+    step = 2e-3
+    with torch.no_grad():
+        ahead, behind = (volume(geometry, at + sign * step * direction) for sign in (1, -1))
+    assert (direction * gradient).sum().item() == pytest.approx((ahead - behind).item() / (2 * step), rel=0.02)
+
+
+class TestLosses:
+    def test_total_variation_by_hand(self):
+        rng = np.random.default_rng(0)
+        phi = rng.standard_normal((5, 5, 5)).astype(np.float32)
+        chosen = [(1, 2, 3), (0, 0, 0), (3, 3, 1)]
+        total = 0.0
+        for i, j, k in chosen:
+            here = phi[i, j, k]
+            total += abs(phi[i + 1, j, k] - here) + abs(phi[i, j + 1, k] - here) + abs(phi[i, j, k + 1] - here)
+        samples = torch.tensor([np.ravel_multi_index(place, phi.shape) for place in chosen])
+        assert total_variation(torch.tensor(phi), samples, 0.5).item() == pytest.approx(total / 3 / 0.5, rel=1e-5)
+
+    def test_of_a_distance(self):
+        """E|∂Φ| over three axes of unit vectors in all directions: 3 / 2."""
+        geometry = made(ball(65))
+        terms = geometry.moved().terms
+        assert terms["sdf_variation"].item() == pytest.approx(1.5, rel=0.02)
+        assert terms["weight_norm"].item() == 0
+        assert deviation(torch.tensor([0.1, 0.3]), 0.1).item() == pytest.approx(2.0)
+
+    def test_noise_raises_them(self):
+        geometry = made(ball())
+        before, after = geometry.moved().terms, disturbed(geometry).moved().terms
+        assert all(after[name] > before[name] for name in before)
+
+    def test_deformation_gains_weight(self):
+        rates = [made(ball()).rates(progress) for progress in (0.0, 0.5, 1.0)]
+        assert [r[0] for r in rates] == [1.0] * 3
+        assert rates[0][1] == 0 < rates[1][1] < rates[2][1]
+
+
+class TestDistance:
+    def test_on_the_same_grid_it_is_phi(self):
+        """But for the margin that the frame leaves: there, the distance to the surface that Φ gave."""
+        geometry = made(ball(65))
+        distance = FieldDistance(geometry, 33)
+        exact = signed_distance(geometry.vertices, geometry.faces, 33)
+        np.testing.assert_array_equal(distance(geometry.initial)[0], exact.astype(np.float32))
+
+    @pytest.mark.parametrize("asset", [ball(65), ball(65, steepness=2.0, centre=(1, 2, 3), half=4.0)])
+    def test_follows_the_surface(self, asset):
+        geometry = made(asset)
+        reached = geometry.displaced(np.full(len(geometry.vertices), 0.03))
+        vertices, faces = geometry.surface(reached)
+        with torch.no_grad():
+            found = FieldDistance(geometry, 33)(geometry.moved().shape)[0].numpy()
+        exact = signed_distance(vertices, faces, 33)
+        near = np.abs(exact) < 0.03
+        assert near.sum() > 300 and np.abs(found - exact)[near].max() < 3e-3
+
+    def test_gradient(self):
+        geometry = made(generated())
+        distance = geometry.distance(33)
+        weight = torch.randn(1, 33, 33, 33, generator=torch.Generator().manual_seed(0))
+        phi = geometry.initial.clone().requires_grad_()
+        (gradient,) = torch.autograd.grad((weight * distance(phi)).sum(), phi)
+        step = torch.randn(phi.shape, generator=torch.Generator().manual_seed(1))
+        change = (weight.double() * (distance(geometry.initial + step) - distance(geometry.initial)).double()).sum()
+        assert change.item() == pytest.approx((gradient * step).sum().item(), rel=1e-3)
+
+
+@pytest.mark.parametrize("steepness", [0.5, 1.0, 3.0])
+def test_slope(steepness):
+    asset = ball(steepness=steepness)
+    vertices, faces = asset.surface(training=True)
+    around = shell(asset.phi < 0, None, vertices, faces, CAP)
+    np.testing.assert_allclose(slope(asset.phi, around.samples, around.distance), steepness, rtol=0.05)

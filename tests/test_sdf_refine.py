@@ -1,0 +1,208 @@
+"""Whole refinements of shapes that are Φ on a grid, in a few iterations on a coarse one."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from toys import egg, painted
+
+import genmf_mi
+from genmf_mi import displacement, evaluate, meshlab, prepare, samples, scene, solid, sources, target, topology
+from genmf_mi import refine as refine_module
+from genmf_mi.asset import Asset, load
+from genmf_mi.cli import main
+from genmf_mi.errors import AssetError, OutputError
+from genmf_mi.generators import files
+from genmf_mi.generators.asset import SdfAsset
+from genmf_mi.generators.convert import convert
+from genmf_mi.refine import Listener
+from genmf_mi.run import CHECKPOINT
+
+CONFIG = genmf_mi.RefineConfig(iterations=6, resolution=96, samples=4, score_vgg=False, stress=False,
+                               max_relief_mm=2.0, device="cpu")  # fmt: skip
+TOLERANCE_MM = 1e-2
+"""Between two runs with the same seed, see test_refine.py; where weights move a vertex, a flip of a diagonal adds."""
+
+
+def stripes(points: np.ndarray) -> np.ndarray:
+    return np.where(np.sin(10 * points[:, 1:2] + 3 * points[:, :1]) > 0, np.float32([0.8, 0.2, 0.2]), np.float32(0.15))
+
+
+@pytest.fixture(scope="module")
+def shape() -> SdfAsset:
+    """A striped egg on 33³ samples, 3.3 mm apart on a part of 100 mm."""
+    ball = trimesh.creation.icosphere(4)
+    vertices = np.array(ball.vertices) * (1, 0.8, 0.9)
+    return convert(Asset.from_arrays("toy", vertices, np.array(ball.faces), colours=stripes(vertices)), samples=33)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _small(lpips_weights):
+    """Small pictures, and two of the displacements."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(evaluate, "RESOLUTION", 64)
+        patch.setattr(evaluate, "SAMPLES", 4)
+        patch.setattr(target, "FINEST", 24_000)
+        patch.setattr(displacement, "AMPLITUDES", (-0.5, 0.5))
+        patch.setattr(refine_module, "CHECKPOINT_EVERY", 2)
+        for module in (prepare, displacement):
+            patch.setattr(module, "BROAD_MM", 60.0)
+        yield
+
+
+class Crash(Listener):
+    def __init__(self, at: int, error: type[BaseException]) -> None:
+        self.at, self.error = at, error
+
+    def iteration(self, index: int, count: int, terms: dict[str, float]) -> None:
+        if index == self.at:
+            raise self.error
+
+
+@pytest.fixture(scope="module")
+def whole(shape, two_views, tmp_path_factory):
+    return genmf_mi.refine(shape, CONFIG, out=tmp_path_factory.mktemp("run") / "toy", scene=two_views)
+
+
+def apart_mm(one, other) -> float:
+    """The largest distance from a vertex of one to the surface of the other, in mm."""
+    return float(topology.distance(one.vertices_mm, other.vertices_mm, other.faces).max())
+
+
+class TestWhole:
+    def test_files(self, whole):
+        names = {"refined.3mf", "refined.stl", "refined.glb", "before_after.png", "report.html", "metrics.json",
+                 "metrics.jsonl", "config.yaml"}  # fmt: skip
+        assert set(os.listdir(whole.out)) == names
+        for name in ("refined.stl", "refined.3mf"):
+            read = trimesh.load(whole.out / name, force="mesh")
+            read.merge_vertices(digits_vertex=5)
+            assert read.is_watertight and read.volume > 0
+        glb = load(whole.out / "refined.glb")
+        np.testing.assert_allclose(glb.vertices, whole.vertices, atol=1e-5)
+        assert abs(glb.albedo.colours - stripes(glb.vertices)).mean() < 0.1, "colours where they belong"
+
+    def test_solid_within_the_cap(self, whole, shape):
+        assert solid.is_solid(whole.vertices, whole.faces)
+        assert len(meshlab.self_intersections(whole.vertices, whole.faces)) == 0
+        metrics = whole.metrics
+        assert metrics["solid"]["watertight"] and metrics["solid"]["bodies"] == 1
+        scale = 100 / np.ptp(shape.surface(training=True)[0], axis=0).max()
+        distance = topology.distance(whole.vertices, *shape.surface(training=True)) * scale
+        assert distance.max() <= CONFIG.max_relief_mm + 1e-6
+        assert metrics["relief_mm"]["max"] == pytest.approx(distance.max(), rel=1e-3)
+        np.testing.assert_allclose(np.abs(whole.relief_mm), distance, atol=0.05)
+        assert distance.max() > 0.3
+
+    def test_metrics(self, whole):
+        metrics = whole.metrics
+        assert json.loads((whole.out / "metrics.json").read_text()) == json.loads(json.dumps(metrics))
+        for block in (metrics, metrics["unseen"]):
+            assert set(block) >= {"before", "displacement", "after"}
+        assert metrics["solid"]["samples_per_axis"] == 33 and metrics["iterations"] == 6
+        terms = set(whole.history[0])
+        assert terms >= {"loss", "grey_lpips", "sdf_variation", "deviation", "weight_norm"}
+        assert {"extract", "optimise", "untangle"} <= set(metrics["seconds"])
+
+    def test_the_loss_falls(self, shape, two_views):
+        config = replace(CONFIG, iterations=25, view_jitter=(0.0, 0.0), light_jitter=0.0)
+        history = genmf_mi.refine(shape, config, scene=two_views).history
+        losses = [line["loss"] for line in history]
+        assert np.mean(losses[-6:]) < np.mean(losses[:6])
+
+    def test_same_result_twice(self, whole, shape, two_views):
+        again = genmf_mi.refine(shape, CONFIG, scene=two_views)
+        assert apart_mm(whole, again) < TOLERANCE_MM
+        assert again.metrics["after"]["ssim"] == pytest.approx(whole.metrics["after"]["ssim"], abs=1e-3)
+
+    def test_resumed(self, whole, shape, two_views, tmp_path):
+        with pytest.raises(RuntimeError):
+            genmf_mi.refine(shape, CONFIG, out=tmp_path / "run", scene=two_views, listener=Crash(4, RuntimeError))
+        with np.load(tmp_path / "run" / CHECKPOINT) as state:
+            assert int(state["iteration"]) == 4
+        resumed = genmf_mi.refine(shape, CONFIG, out=tmp_path / "run", scene=two_views, resume=True)
+        assert apart_mm(whole, resumed) < TOLERANCE_MM and len(resumed.history) == 6
+
+    def test_interrupted(self, shape, two_views, tmp_path):
+        result = genmf_mi.refine(shape, CONFIG, out=tmp_path / "run", scene=two_views,
+                                 listener=Crash(2, KeyboardInterrupt))  # fmt: skip
+        assert result.metrics["interrupted"] and result.metrics["solid"]["watertight"]
+        assert (tmp_path / "run" / CHECKPOINT).exists()
+
+    def test_displacement_alone(self, shape, two_views):
+        """Much as on the mesh, as far as a grid of 3 mm can."""
+        result = genmf_mi.refine(shape, replace(CONFIG, method="displacement"), scene=two_views)
+        metrics = result.metrics
+        assert metrics["iterations"] == 0 and metrics["solid"]["watertight"]
+        assert metrics["after"]["ssim"] == pytest.approx(metrics["displacement"]["ssim"], abs=0.05)
+        assert 0.2 < metrics["relief_mm"]["max"] <= CONFIG.max_relief_mm
+
+
+class Waves:
+    """Stands for a trained predictor: a smooth field, raised where the body reaches far along x."""
+
+    def __init__(self, device: str = "cpu") -> None:
+        from types import SimpleNamespace
+
+        self.settings = SimpleNamespace(grid=33)
+
+    def field(self, phi: torch.Tensor, box=None) -> torch.Tensor:
+        x = torch.linspace(-1, 1, 33)[:, None, None]
+        return (1.5 + torch.sin(8 * x)) * torch.sigmoid(-phi * 20)
+
+
+def test_second_stage(shape, two_views, monkeypatch):
+    """Φ goes to the predictor, whose terms reach the history and whose gradient reaches Φ."""
+    from genmf_mi.stress import predictor
+
+    monkeypatch.setattr(predictor, "Predictor", Waves)
+    config = replace(CONFIG, stress=True, stage_one_share=0.5)
+    history = genmf_mi.refine(shape, config, scene=two_views).history
+    assert [line["stage"] for line in history] == [1, 1, 1, 2, 2, 2]
+    assert all(line["stress_mean"] > 0 for line in history[3:])
+
+
+class TestSources:
+    def test_generators_file(self, shape, two_views, tmp_path, capsys):
+        """From the command line, with the colours of a mesh beside it."""
+        path = tmp_path / "toy.npz"
+        files.save(replace(shape, coloured=None), path)
+        mesh = painted(tmp_path / "mesh.ply")
+        small = ["--iterations", "1", "--resolution", "96", "--no-stress", "--no-score-vgg", "--quiet"]
+        arguments = ["refine", str(path), "--scene", str(two_views), "--out", str(tmp_path / "out"), *small]
+        assert main(arguments) != 0
+        assert "no colours" in capsys.readouterr().err
+        assert main([*arguments, "--textured", mesh]) == 0
+        assert json.loads((tmp_path / "out" / "metrics.json").read_text())["asset"] == "toy"
+
+    def test_sample_as_field(self, monkeypatch):
+        """NAME_sdf is the sample, converted, with the sample's scene."""
+        monkeypatch.setattr("genmf_mi.generators.convert.convert", lambda asset: convert(asset, samples=33))
+        made = sources.load("leaf_sdf")
+        assert isinstance(made, SdfAsset) and made.name == "leaf_sdf" and made.textured
+        assert scene.find("strawberry_sdf").stem in ("strawberry", "strawberry_sdf")
+        assert isinstance(sources.load("leaf"), Asset)
+        with pytest.raises(AssetError, match="leaf"):
+            sources.load("leave_sdf")
+
+    def test_loaded_objects_pass(self, shape):
+        assert sources.load(shape) is shape
+        with pytest.raises(AssetError, match="--textured"):
+            sources.load(shape, textured="x.glb")
+
+    def test_all_samples_have_a_scene(self):
+        assert all(scene.find(f"{name}_sdf").stem != "default" for name in samples.NAMES)
+
+    def test_another_run_in_the_folder(self, whole, shape):
+        with pytest.raises(OutputError, match="finished run"):
+            genmf_mi.refine(shape, CONFIG, out=whole.out)
+
+    def test_without_colours(self):
+        with pytest.raises(AssetError, match="no texture"):
+            genmf_mi.refine(convert(Asset.from_arrays("egg", egg().vertices, egg().faces), samples=33), CONFIG)
