@@ -4,7 +4,7 @@ import drjit as dr
 import mitsuba as mi
 from mitsuba.python.ad.integrators.common import PSIntegrator
 
-AOVS = ['depth', 'normal.X', 'normal.Y', 'normal.Z', 'coverage']
+AOVS = ["depth", "normal.X", "normal.Y", "normal.Z", "coverage"]
 
 
 class Monochrome(PSIntegrator):
@@ -61,10 +61,10 @@ class Monochrome(PSIntegrator):
     def __init__(self, props):
         super().__init__(props)
 
-        self.aovs = props.get('aovs', True)
-        self.silhouettes = props.get('silhouettes', False)
+        self.aovs = props.get("aovs", True)
+        self.silhouettes = props.get("silhouettes", False)
         if self.aovs and self.silhouettes:
-            raise Exception("\"silhouettes\" requires \"aovs\" to be false")
+            raise Exception('"silhouettes" requires "aovs" to be false')
 
         # One bounce, no indirect boundary; primary boundaries on request only
         self.max_depth = 1
@@ -88,8 +88,8 @@ class Monochrome(PSIntegrator):
         dr.make_opaque(self.axis, self.origin)
         self.materials = list(dict.fromkeys(shape.bsdf() for shape in scene.shapes()))
         for material in self.materials:
-            if not hasattr(material, 'shading'):
-                raise Exception(f"\"monochrome\" renders \"twolight\" materials only, found {material}")
+            if not hasattr(material, "shading"):
+                raise Exception(f'"monochrome" renders "twolight" materials only, found {material}')
             material.aim(sensor)
 
     def shading(self, si: mi.SurfaceInteraction3f, ray: mi.Ray3f, active: mi.Bool) -> mi.Float:
@@ -111,10 +111,12 @@ class Monochrome(PSIntegrator):
     def render_ad(self, scene, sensor, seed, spp, mode):
         with dr.resume_grad():
             for shape in scene.shapes():
-                if shape.shape_type() == +mi.ShapeType.SDFGrid and dr.grad_enabled(mi.traverse(shape)['grid']):
-                    raise Exception("\"monochrome\" renders the shape \"sdfgrid\", but Mitsuba's derivatives with "
-                                    "respect to its grid are wrong. Take them through "
-                                    "genmf_mi.geometry.flexicubes, or detach the grid.")
+                if shape.shape_type() == +mi.ShapeType.SDFGrid and dr.grad_enabled(mi.traverse(shape)["grid"]):
+                    raise Exception(
+                        '"monochrome" renders the shape "sdfgrid", but Mitsuba\'s derivatives with '
+                        "respect to its grid are wrong. Take them through "
+                        "genmf_mi.geometry.flexicubes, or detach the grid."
+                    )
         sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
         self.aim(scene, sensor)
         return super().render_ad(scene, sensor, seed, spp, mode)
@@ -139,8 +141,20 @@ class Monochrome(PSIntegrator):
         ray, _, pos = super().sample_rays(scene, sensor, sampler)
         return ray, mi.Float(1), pos
 
-    def sample(self, mode, scene, sampler, ray, depth=0, δL=None, state_in=None, active=True,
-               project=False, si_shade=None, **kwargs):
+    def sample(
+        self,
+        mode,
+        scene,
+        sampler,
+        ray,
+        depth=0,
+        δL=None,
+        state_in=None,
+        active=True,
+        project=False,
+        si_shade=None,
+        **kwargs,
+    ):
         """
         See ``PSIntegrator.sample()`` for a description of this interface and
         the role of the various parameters and return values.
@@ -150,8 +164,11 @@ class Monochrome(PSIntegrator):
         with dr.resume_grad(when=mode != dr.ADMode.Primal):
             # Not `FollowShape`: the ray is fixed, so the hit point must slide
             # over the moving surface (with that flag translations have no gradient)
-            si = si_shade if si_shade is not None else \
-                scene.ray_intersect(ray, ray_flags=mi.RayFlags.All, coherent=True, active=active)
+            si = (
+                si_shade
+                if si_shade is not None
+                else scene.ray_intersect(ray, ray_flags=mi.RayFlags.All, coherent=True, active=active)
+            )
             valid = active & si.is_valid()
             L = mi.Spectrum(self.shading(si, ray, valid)) & valid
             aovs = []
@@ -179,7 +196,7 @@ class Monochrome(PSIntegrator):
         return foreground - background, active
 
     def to_string(self):
-        return f'Monochrome[aovs = {self.aovs}, silhouettes = {self.silhouettes}]'
+        return f"Monochrome[aovs = {self.aovs}, silhouettes = {self.silhouettes}]"
 
 
-mi.register_integrator('monochrome', Monochrome)
+mi.register_integrator("monochrome", Monochrome)

@@ -105,25 +105,25 @@ class TwoLight(mi.BSDF):
     def __init__(self, props):
         super().__init__(props)
 
-        self.albedo = props.get_texture('albedo', 0.8)
-        self.attribute = props.get('attribute', '')
-        self.ambient = mi.Float(props.get('ambient', 0.2))
-        self.key = mi.Vector3f(props.get('key', [-0.4, 0.5, 1.0]))
-        self.fill = mi.Vector3f(props.get('fill', [0.8, 0.1, 0.6]))
-        self.key_weight = mi.Float(props.get('key_weight', 0.75))
-        self.fill_weight = mi.Float(props.get('fill_weight', 0.25))
-        self.sharpness = mi.Float(props.get('sharpness', 8.0))
-        self.lights = props.get('lights', 'camera')
+        self.albedo = props.get_texture("albedo", 0.8)
+        self.attribute = props.get("attribute", "")
+        self.ambient = mi.Float(props.get("ambient", 0.2))
+        self.key = mi.Vector3f(props.get("key", [-0.4, 0.5, 1.0]))
+        self.fill = mi.Vector3f(props.get("fill", [0.8, 0.1, 0.6]))
+        self.key_weight = mi.Float(props.get("key_weight", 0.75))
+        self.fill_weight = mi.Float(props.get("fill_weight", 0.25))
+        self.sharpness = mi.Float(props.get("sharpness", 8.0))
+        self.lights = props.get("lights", "camera")
 
-        if self.lights not in ('camera', 'world'):
-            raise Exception(f"\"lights\" must be \"camera\" or \"world\", got \"{self.lights}\"")
-        if not 0 <= props.get('ambient', 0.2) < 1:
-            raise Exception("\"ambient\" must lie in [0, 1)")
-        if props.get('sharpness', 8.0) <= 0:
-            raise Exception("\"sharpness\" must be positive")
-        for name in ('key', 'fill'):
+        if self.lights not in ("camera", "world"):
+            raise Exception(f'"lights" must be "camera" or "world", got "{self.lights}"')
+        if not 0 <= props.get("ambient", 0.2) < 1:
+            raise Exception('"ambient" must lie in [0, 1)')
+        if props.get("sharpness", 8.0) <= 0:
+            raise Exception('"sharpness" must be positive')
+        for name in ("key", "fill"):
             if dr.all(getattr(self, name) == 0):
-                raise Exception(f"\"{name}\" is a direction and cannot be zero")
+                raise Exception(f'"{name}" is a direction and cannot be zero')
 
         # Rotation from the frame of the lights to the world: see `aim()`
         self.to_world = mi.Matrix3f(1)
@@ -133,8 +133,8 @@ class TwoLight(mi.BSDF):
         self.m_flags = flags
 
     def traverse(self, cb):
-        cb.put('albedo', self.albedo, mi.ParamFlags.Differentiable)
-        for name in ('ambient', 'key', 'fill', 'key_weight', 'fill_weight', 'sharpness'):
+        cb.put("albedo", self.albedo, mi.ParamFlags.Differentiable)
+        for name in ("ambient", "key", "fill", "key_weight", "fill_weight", "sharpness"):
             cb.put(name, getattr(self, name), mi.ParamFlags.Differentiable)
 
     def parameters_changed(self, keys):
@@ -147,13 +147,12 @@ class TwoLight(mi.BSDF):
         Mitsuba's camera frame has x to the left and z along the view; the
         lights are given with x to the right and z towards the viewer.
         """
-        if self.lights == 'world':
+        if self.lights == "world":
             return
         m = sensor.world_transform().matrix
         self.to_world = mi.Matrix3f(
-            -m[0, 0], m[0, 1], -m[0, 2],
-            -m[1, 0], m[1, 1], -m[1, 2],
-            -m[2, 0], m[2, 1], -m[2, 2])
+            -m[0, 0], m[0, 1], -m[0, 2], -m[1, 0], m[1, 1], -m[1, 2], -m[2, 0], m[2, 1], -m[2, 2]
+        )
         # A literal would be baked into the kernel: one compilation per view
         dr.make_opaque(self.to_world)
 
@@ -169,8 +168,9 @@ class TwoLight(mi.BSDF):
         n = si.sh_frame.n
         key = dr.dot(n, self.to_world @ dr.normalize(self.key))
         fill = dr.dot(n, self.to_world @ dr.normalize(self.fill))
-        diffuse = self.key_weight * softplus_cosine(key, self.sharpness) + \
-            self.fill_weight * softplus_cosine(fill, self.sharpness)
+        diffuse = self.key_weight * softplus_cosine(key, self.sharpness) + self.fill_weight * softplus_cosine(
+            fill, self.sharpness
+        )
         return self.reflectance(si, active) * dr.lerp(diffuse, 1, self.ambient)
 
     def eval_diffuse_reflectance(self, si, active=True):
@@ -205,9 +205,11 @@ class TwoLight(mi.BSDF):
         return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
 
     def to_string(self):
-        return f'TwoLight[albedo = {self.albedo}, attribute = "{self.attribute}",' \
-               f' ambient = {self.ambient}, lights = "{self.lights}",' \
-               f' sharpness = {self.sharpness}]'
+        return (
+            f'TwoLight[albedo = {self.albedo}, attribute = "{self.attribute}",'
+            f' ambient = {self.ambient}, lights = "{self.lights}",'
+            f" sharpness = {self.sharpness}]"
+        )
 
 
-mi.register_bsdf('twolight', TwoLight)
+mi.register_bsdf("twolight", TwoLight)

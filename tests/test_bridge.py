@@ -51,8 +51,12 @@ def with_seams(folder) -> tuple[np.ndarray, np.ndarray]:
 
 def loaded(folder, vertices: np.ndarray, faces: np.ndarray, **options) -> scene.Scene:
     bridge.write_ply(folder / "part.ply", vertices, faces)
-    return scene.load(scene.find("default"), folder / "part.ply", radius=float(np.linalg.norm(vertices, axis=1).max()),
-                      **{"resolution": 96, "samples": 16, **options})
+    return scene.load(
+        scene.find("default"),
+        folder / "part.ply",
+        radius=float(np.linalg.norm(vertices, axis=1).max()),
+        **{"resolution": 96, "samples": 16, **options},
+    )
 
 
 @pytest.fixture(scope="module", params=["seamless", "with seams"])
@@ -245,7 +249,8 @@ def test_written_mesh_reads_back(tmp_path):
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-6)
     corners = trimesh.Trimesh(vertices, faces, process=False)
     angle_weighted = trimesh.geometry.weighted_vertex_normals(
-        len(vertices), faces, corners.face_normals, corners.face_angles, use_loop=False)
+        len(vertices), faces, corners.face_normals, corners.face_angles, use_loop=False
+    )
     np.testing.assert_allclose(normals, angle_weighted, atol=2e-3)
 
     given = bridge.write_ply(tmp_path / "b.ply", vertices, faces, normals=-normals)

@@ -114,14 +114,16 @@ class TestJudge:
         for ours, theirs, mask in zip(image, judge.target, judge.mask, strict=True):
             weights = mask.numpy().ravel()
             assert np.average(ours.numpy().ravel(), weights=weights) == pytest.approx(
-                np.average(theirs.numpy().ravel(), weights=weights), abs=0.03)  # clipped values are all that differs
+                np.average(theirs.numpy().ravel(), weights=weights), abs=0.03
+            )  # clipped values are all that differs
 
     def test_the_same_twice(self, judges):
         judge = judges["striped"]
         first, second = (judge.score(judge.render(moved(0.003)), networks=("alex",)) for _ in range(2))
         assert first["lpips_vgg"] is first["lpips_mask_vgg"] is None
         assert {k: v for k, v in first.items() if v is not None} == pytest.approx(
-            {k: v for k, v in second.items() if v is not None}, abs=1e-5)
+            {k: v for k, v in second.items() if v is not None}, abs=1e-5
+        )
 
     def test_no_derivatives_are_kept(self, judges):
         vertices = moved().requires_grad_()
@@ -211,4 +213,3 @@ class TestEvaluate:
         for block in (metrics, metrics["unseen"]):
             assert block["after"]["ssim"] == pytest.approx(block["before"]["ssim"], abs=5e-3)
             assert block["after"]["lpips_alex"] == pytest.approx(block["before"]["lpips_alex"], abs=5e-3)
-

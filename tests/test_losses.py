@@ -60,6 +60,7 @@ def eroded(mask: np.ndarray, pixels: int = 1) -> np.ndarray:
 def oracle_align(grey, reference, mask):
     out = np.zeros_like(grey)
     for i, (g, r, m) in enumerate(zip(grey, reference, mask, strict=True)):
+
         def moments(x, m=m):
             mean = (x * m).sum() / m.sum()
             return mean, np.sqrt((m * (x - mean) ** 2).sum() / m.sum())
@@ -326,7 +327,8 @@ class TestWhatAFormulaCannotSee:
         bright, mask = tensors(self.line, self.mask)
         dark = 1 - bright
         assert appearance.gradient_match(dark, bright, mask) == pytest.approx(
-            appearance.gradient_match(bright, bright, mask).item(), abs=1e-9)
+            appearance.gradient_match(bright, bright, mask).item(), abs=1e-9
+        )
         assert appearance.polarity(bright, bright, mask) == 0
         assert appearance.polarity(dark, bright, mask) > 0.9
 
@@ -402,7 +404,13 @@ class TestObjective:
     def test_without_geometry_buffers_only_the_appearance(self):
         part = Buffers(buffers(0).grey, None, None, None)
         assert set(objective.terms(part, buffers(10), self.every)) == {
-            "grey_l1", "grey_lpips", "structure", "gradient_structure", "gradient", "polarity"}
+            "grey_l1",
+            "grey_lpips",
+            "structure",
+            "gradient_structure",
+            "gradient",
+            "polarity",
+        }
 
     def test_gradient_reaches_every_buffer(self):
         part, reference = buffers(0), buffers(10)

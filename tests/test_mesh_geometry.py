@@ -123,7 +123,8 @@ class TestRelief:
         part, rooms = relief()
         part.start_from(np.full(len(part.base), 1.0))
         np.testing.assert_allclose(
-            part.offsets().detach(), 0.98 * rooms["outward"][:, None] * part.normals.numpy(), atol=1e-5)
+            part.offsets().detach(), 0.98 * rooms["outward"][:, None] * part.normals.numpy(), atol=1e-5
+        )
 
     @pytest.mark.parametrize("broad", [False, True])
     def test_gradient_against_finite_differences(self, broad):
@@ -357,8 +358,14 @@ class TestRoom:
 
     def test_hollow_bend_limits_outwards(self):
         """The inner corner of an angle; the outer edge limits inwards."""
-        angle = trimesh.boolean.difference([trimesh.creation.box([1, 1, 1]), trimesh.creation.box(
-            [0.5, 1, 2], transform=trimesh.transformations.translation_matrix([0.25, 0.25, 0]))])
+        angle = trimesh.boolean.difference(
+            [
+                trimesh.creation.box([1, 1, 1]),
+                trimesh.creation.box(
+                    [0.5, 1, 2], transform=trimesh.transformations.translation_matrix([0.25, 0.25, 0])
+                ),
+            ]
+        )
         vertices, faces = trimesh.remesh.subdivide_to_size(angle.vertices, angle.faces, 0.1, max_iter=20)
         mesh = trimesh.Trimesh(vertices, faces)
         mesh.merge_vertices()

@@ -38,11 +38,23 @@ def phi(x: np.ndarray, sharpness: float) -> np.ndarray:
     return np.logaddexp(0, sharpness * x) / np.logaddexp(0, sharpness)
 
 
-def grey(normals: np.ndarray, axes: np.ndarray = AXES, *, albedo=0.8, ambient=0.2, key=KEY, fill=FILL,
-         key_weight=0.75, fill_weight=0.25, sharpness=8.0) -> np.ndarray:
+def grey(
+    normals: np.ndarray,
+    axes: np.ndarray = AXES,
+    *,
+    albedo=0.8,
+    ambient=0.2,
+    key=KEY,
+    fill=FILL,
+    key_weight=0.75,
+    fill_weight=0.25,
+    sharpness=8.0,
+) -> np.ndarray:
     """G as `twolight` documents it; the columns of ``axes`` are right, up and towards the viewer."""
-    lit = sum(weight * phi(normals @ (axes @ (light / np.linalg.norm(light))), sharpness)
-              for weight, light in ((key_weight, key), (fill_weight, fill)))
+    lit = sum(
+        weight * phi(normals @ (axes @ (light / np.linalg.norm(light))), sharpness)
+        for weight, light in ((key_weight, key), (fill_weight, fill))
+    )
     return albedo * (ambient + (1 - ambient) * lit)
 
 
@@ -171,8 +183,14 @@ def test_attribute_multiplies_the_albedo():
     params["vertex_positions"] = np.float32([[-9, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]]).ravel()
     params["faces"] = np.uint32([[0, 1, 2], [0, 2, 3]]).ravel()
     params.update()
-    scene = mi.load_dict({"type": "scene", "integrator": {"type": "monochrome"}, "mesh": mesh,
-                          "sensor": sensor(resolution=16, samples=64, sampler="stratified")})
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "monochrome"},
+            "mesh": mesh,
+            "sensor": sensor(resolution=16, samples=64, sampler="stratified"),
+        }
+    )
     x = ((np.arange(16) + 0.5) / 8 - 1) * np.tan(np.radians(FOV / 2)) * DISTANCE
     expected = grey(np.array([0.0, 0.0, 1.0])) * (x + 9) / 18
     np.testing.assert_allclose(image(scene)[..., 0], np.broadcast_to(expected, (16, 16)), rtol=5e-3)
@@ -180,11 +198,21 @@ def test_attribute_multiplies_the_albedo():
 
 def test_two_materials_in_one_scene():
     def half(side: float, albedo: float) -> dict:
-        return {"type": "rectangle", "material": {"type": "twolight", "albedo": albedo},
-                "to_world": mi.ScalarTransform4f().translate([side * 20, 0, 0]).scale(20)}
+        return {
+            "type": "rectangle",
+            "material": {"type": "twolight", "albedo": albedo},
+            "to_world": mi.ScalarTransform4f().translate([side * 20, 0, 0]).scale(20),
+        }
 
-    scene = mi.load_dict({"type": "scene", "integrator": {"type": "monochrome"}, "left": half(-1, 0.3),
-                          "right": half(1, 0.9), "sensor": sensor(resolution=8, samples=4)})
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "monochrome"},
+            "left": half(-1, 0.3),
+            "right": half(1, 0.9),
+            "sensor": sensor(resolution=8, samples=4),
+        }
+    )
     seen = image(scene)[..., 0]
     front = np.array([0.0, 0.0, 1.0])
     np.testing.assert_allclose(seen[:, :4], grey(front, albedo=0.3), rtol=1e-5)
@@ -313,8 +341,9 @@ def test_silhouettes_exclude_aovs():
 
 
 def test_other_materials_are_refused_by_name():
-    scene = mi.load_dict({"type": "scene", "integrator": {"type": "monochrome"}, "sensor": sensor(),
-                          "ball": {"type": "sphere"}})
+    scene = mi.load_dict(
+        {"type": "scene", "integrator": {"type": "monochrome"}, "sensor": sensor(), "ball": {"type": "sphere"}}
+    )
     with pytest.raises(Exception, match='renders "twolight" materials only'):
         scene.integrator().render(scene)
 

@@ -131,7 +131,8 @@ def picture(path: Path, size: tuple[int, int], box: tuple[int, int, int, int], *
 
 class TestPicture:
     @pytest.mark.parametrize(
-        ("name", "mode"), [("a.png", "RGBA"), ("a.png", "RGB"), ("a.bmp", "RGB"), ("a@b.png", "RGBA")])
+        ("name", "mode"), [("a.png", "RGBA"), ("a.png", "RGB"), ("a.bmp", "RGB"), ("a@b.png", "RGBA")]
+    )
     def test_read(self, tmp_path, name, mode):
         """By its transparency, or by the colour of its corners."""
         read = target.read_picture(f"{picture(tmp_path / name, (60, 40), (10, 5, 30, 35), mode=mode)}@30,-12.5")
