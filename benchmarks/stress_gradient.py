@@ -74,11 +74,11 @@ def step(phi: torch.Tensor, predictor: Predictor, step_mm: float, edge_mm: float
     vertices = torch.as_tensor(vertices * (2.0 / (n - 1)) - 1.0, dtype=torch.float32).requires_grad_()
     faces = faces.astype(np.int64)
     mm = Frame.of(vertices.detach().numpy(), predictor.settings.size_mm).mm_per_unit
-    distance, box = MeshDistance(faces, n, every=1), window(phi)
+    distance, box, coarse = MeshDistance(faces, n, every=1), window(phi), predictor.coarse(phi)
 
     def band(vertices: torch.Tensor) -> torch.Tensor:
         field = distance(vertices)
-        return losses.mean(predictor.field(field, box), losses.band(field, BAND))
+        return losses.mean(predictor.field(field, box, coarse), losses.band(field, BAND))
 
     before = band(vertices)
     before.backward()
