@@ -125,6 +125,22 @@ def test_bad_input(file: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
     assert Predictor().about["preset"] == "compact"
 
 
+def test_the_network_of_the_package() -> None:
+    """A shape that no training ever saw, against the solver on a finer mesh than the network is given."""
+    from genmf_mi.stress import fem
+
+    judge, stone = Predictor(), trimesh.creation.icosphere(subdivisions=4)
+    x, y, z = stone.vertices.T
+    stone.vertices *= (1 + 0.15 * np.sin(3 * x + 1) * np.cos(2 * y) - 0.1 * np.sin(4 * z))[:, None] * [0.5, 1.0, 0.6]
+    truth = fem.simulate(stone.vertices, stone.faces, replace(judge.settings, edge_mm=3.0))
+    phi = torch.from_numpy(truth.phi)[None]
+    known = judge.coarse(phi)
+    told, inside = judge.field(phi, coarse=known)[phi <= 0], torch.from_numpy(truth.on_grid()[0])[None][phi <= 0]
+    assert float((told - inside).abs().mean() / inside.mean()) < 0.2
+    assert not torch.allclose(told, known[phi <= 0], rtol=1e-3), "it adds to what it is given"
+    assert judge.about["preset"] == "compact" and domain.outside(phi, judge.about["training"]["domain"]) == []
+
+
 def test_command_writes_its_files(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     import meshio
 
