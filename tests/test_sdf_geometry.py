@@ -6,6 +6,7 @@ import igl
 import numpy as np
 import pytest
 import torch
+from scipy.spatial import cKDTree
 
 from genmf_mi import meshlab, solid, topology
 from genmf_mi.frame import Frame
@@ -143,6 +144,37 @@ class TestBounds:
         most = np.where(height > 0, outward, inward)
         assert (np.sqrt(squared) <= most + 1e-9).all() and np.sqrt(squared).max() > 0.4 * CAP
         np.testing.assert_allclose(np.linalg.norm(done.normals, axis=1), 1)
+
+    @pytest.mark.parametrize("failures", [1, 4])
+    def test_untangling_stays_where_it_is_needed(self, failures):
+        """First deformation and weights go, and where that is not enough Φ; all else is left as it was."""
+        geometry = disturbed(made(ball()))
+        spot, answers = geometry.vertices[0], iter([0] + [1] * failures + [0])
+
+        def crossings(vertices, faces):
+            return np.argsort(np.linalg.norm(vertices[faces].mean(axis=1) - spot, axis=1))[: next(answers)]
+
+        def cells_apart(points, others, low, high):
+            """Of ``points`` between so many cells from the spot."""
+            away = np.linalg.norm(points - spot, axis=1) / geometry.cell
+            return cKDTree(others).query(points[(away >= low) & (away < high)])[0].max() / geometry.cell
+
+        before = geometry.surface(geometry.reached())[0]
+        done = geometry.finished(geometry.reached(), crossings)
+        assert done.report["untangled"] == 1 and 0 < done.report["samples_held_back"] < len(geometry.samples) / 4
+        with torch.no_grad():
+            geometry.latent[geometry.blocks[1].start :] = 0
+        plain = geometry.surface(geometry.reached())[0]
+        wanted, other = (plain, geometry.vertices) if failures == 1 else (geometry.vertices, plain)
+        assert cells_apart(done.vertices, wanted, 0, 1) < 0.02 < 0.1 < cells_apart(before, wanted, 0, 1)
+        assert cells_apart(done.vertices, other, 0, 1) > 0.1
+        assert cells_apart(before, done.vertices, 9, np.inf) < 1e-9
+
+    def test_without_end_to_crossings_the_initial_surface_is_left(self):
+        geometry = disturbed(made(ball()), 3.0)
+        calls = iter(range(1000))
+        done = geometry.finished(geometry.reached(), lambda v, f: np.arange(min(next(calls), 1)))
+        np.testing.assert_allclose(done.vertices, geometry.vertices, atol=2e-6)
 
     def test_without_room_nothing_moves(self):
         still = disturbed(made(ball(), 0.0, 0.0), 10.0).moved()

@@ -10,8 +10,8 @@ deformation grow, as in GenMF.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,8 +37,9 @@ DEFORMATION_RATE, WEIGHTS_RATE = 4.0, 4.0
 have no unit, as multiples of the learning rate."""
 FREE = 0.25
 """Share of a cell that a sample may move along each axis."""
-ROUNDS, REACH_CELLS = 12, 4.0
-"""Attempts at taking back what makes the surface cut through itself, and how far around such a spot."""
+REACH_CELLS, GROWTH, PATIENCE = 2.0, 1.5, 4
+"""How far around a spot where the surface cuts through itself changes are taken back; by how much farther each time
+that was not enough there; and the attempts after which no spot is new any more, so that there is an end to it."""
 
 
 class SdfGeometry:
@@ -99,7 +100,7 @@ class SdfGeometry:
         self.gate = tensor(np.clip(2 * room / self.cell, 0, 1))[:, None]
 
         ends = np.cumsum([0, count, 3 * count, WEIGHTS * cubes])
-        self.blocks = tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
+        self.blocks = tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(ends))
         self.latent = torch.zeros(int(ends[-1]), device=device, requires_grad=True)
 
     def rates(self, progress: float) -> tuple[float, ...]:
@@ -114,16 +115,16 @@ class SdfGeometry:
         room = torch.where(x > 0, self.outward, self.inward)
         return room * torch.tanh(x / room)
 
-    def fields(self, kept: tuple[Tensor, Tensor] | None = None) -> tuple[Tensor, Tensor, Tensor]:
+    def fields(self, kept: tuple[Tensor, ...] | None = None) -> tuple[Tensor, Tensor, Tensor]:
         """Φ ``[m,m,m]``, deformation ``[m,m,m,3]`` and weights ``[K,21]`` of the cubes in the shell.
 
-        kept: shares ``[N,1]`` and ``[K,1]`` of the changes to keep at each sample and cube; all of it if None.
+        kept: shares of the changes of each to keep, ``[N,1]``, ``[N,1]`` and ``[K,1]``; all of them if None.
         """
         change = -self.slope * self.heights()
         bent = self.limit * torch.tanh(self.latent[self.blocks[1]].view(-1, 3))
         weights = self.gate * self.latent[self.blocks[2]].view(-1, WEIGHTS)
         if kept is not None:
-            change, bent, weights = kept[0] * change, kept[0] * bent, kept[1] * weights
+            change, bent, weights = kept[0] * change, kept[1] * bent, kept[2] * weights
         phi = self.initial.reshape(-1).index_add(0, self.samples, change[:, 0])
         deformation = self.at_rest.index_add(0, self.samples, bent)
         return phi.view_as(self.initial), deformation.view(*self.initial.shape, 3), self.weights + weights
@@ -172,33 +173,39 @@ class SdfGeometry:
 
     def finished(self, reached: np.ndarray, crossings: Crossings) -> Finished:
         """Take changes of the fields back around faces that cut through others, and extract again, until no more of
-        them are left than the initial surface has; after half of the rounds give such spots up, after all of them
-        everything."""
+        them are left than the initial surface has. First go deformation and weights, as these make faces cross within
+        a cell; where that is not enough half of the change of Φ, then all of it, ever farther around the spot."""
         from scipy.spatial import cKDTree
 
-        before, first = len(crossings(self.vertices, self.faces)), None
-        kept = np.ones(len(self.samples)), np.ones(len(self.gate))
-        for attempt in range(ROUNDS + 1):
+        def around(vertices: np.ndarray, faces: np.ndarray) -> cKDTree:
+            return cKDTree(self._to_grid(vertices[np.unique(faces)]))
+
+        own = crossings(self.vertices, self.faces)
+        first, failed, always = None, [], around(self.vertices, self.faces[own])
+        places = self.shell.places, self.shell.places, self.shell.centres
+        kept = tuple(np.ones(len(x)) for x in places)
+        near = REACH_CELLS * self.cell / self.scale
+        for attempt in itertools.count():
             part = self._part(reached, kept)
             crossing = crossings(part.vertices, part.faces)
             first = len(crossing) if first is None else first
-            if len(crossing) <= before:
+            if len(crossing) <= len(own) or not any(share.any() for share in kept):
                 break
-            give_way = 0.5 if attempt < ROUNDS // 2 else 0.0
-            spots = cKDTree(self._to_grid(part.vertices[np.unique(part.faces[crossing])]))
-            reach = REACH_CELLS * self.cell / self.scale
-            for share, places in zip(kept, (self.shell.places, self.shell.centres), strict=True):
-                far = np.minimum(spots.query(places, distance_upper_bound=reach)[0] / reach, 1)
-                share *= give_way + (1 - give_way) * far
-        else:
-            for share in kept:
-                share[:] = 0
-            part = self._part(reached, kept)
-        held = sum(int((share < 1).sum()) for share in kept[:1])
-        report = {"self_intersections_before": before, "untangled": first, "samples_held_back": held}
+            spots = around(part.vertices, part.faces[crossing])
+            new = always.query(spots.data)[0] > near
+            spots = cKDTree(spots.data[new]) if new.any() else spots
+            times = np.full(spots.n, attempt // PATIENCE) + sum(x.query(spots.data)[0] < near for x in failed)
+            failed.append(spots)
+            for again in np.unique(times):
+                there, reach = cKDTree(spots.data[times == again]), near * GROWTH ** max(again - 1, 0)
+                for share, at, taken in zip(kept, places, (min(again / 2, 1), 1, 1), strict=True):
+                    away = there.query(at, distance_upper_bound=reach)[0] / reach
+                    share *= 1 - taken * np.clip(2 - 2 * away, 0, 1)
+        held = int((np.minimum(*kept[:2]) < 1).sum())
+        report = {"self_intersections_before": len(own), "untangled": first, "samples_held_back": held}
         return Finished(part.vertices, part.faces, part.foot, part.normals, report)
 
-    def _part(self, reached: np.ndarray, kept: tuple[np.ndarray, np.ndarray] | None) -> Finished:
+    def _part(self, reached: np.ndarray, kept: tuple[np.ndarray, ...] | None) -> Finished:
         """The surface without specks, every vertex within the room of its point on the initial one, to which weights
         and deformation do not keep by themselves. Bodies that were just large enough before are no specks now."""
         with torch.no_grad():
