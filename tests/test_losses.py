@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -12,6 +14,9 @@ from genmf_mi.bridge import Buffers
 from genmf_mi.colour import to_srgb
 from genmf_mi.config import Weights
 from genmf_mi.losses import appearance, geometry, objective
+
+OF_THE_GEOMETRY = {"sdf_variation", "deviation", "weight_norm"}
+"""Terms that a field on a grid tells of itself, whatever is rendered."""
 
 
 def smooth(shape: tuple[int, ...], seed: int, sigma: float = 1.5) -> np.ndarray:
@@ -371,7 +376,7 @@ class TestObjective:
     def test_terms_are_the_functions_of_that_name(self):
         part, reference = buffers(0), buffers(10)
         values = objective.terms(part, reference, self.every)
-        assert set(values) == set(Weights.__dataclass_fields__)
+        assert set(values) == set(Weights.__dataclass_fields__) - OF_THE_GEOMETRY
         mask = reference.coverage
         images = appearance.on_screen(part.grey, part.coverage, reference.grey, mask)
         expected = {
@@ -391,6 +396,12 @@ class TestObjective:
         for name, value in expected.items():
             assert values[name].item() == pytest.approx(value.item(), rel=loose.get(name, 1e-4)), name
         assert values["grey_lpips"] > 0.01
+
+    def test_terms_of_the_geometry(self):
+        """Those with a weight are kept as they are."""
+        told = dict.fromkeys(OF_THE_GEOMETRY, torch.tensor(2.0))
+        assert objective.weighted(told, self.every) == told
+        assert set(objective.weighted(told, replace(self.every, deviation=0.0))) == OF_THE_GEOMETRY - {"deviation"}
 
     def test_total(self):
         values = objective.terms(buffers(0), buffers(10), self.every)
