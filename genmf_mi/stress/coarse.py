@@ -8,6 +8,8 @@ relief changes is then for the network to tell, and has derivatives.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from genmf_mi.errors import SolidError
@@ -35,9 +37,7 @@ def coarse_stress(phi: np.ndarray, settings: fem.Settings, edge_mm: float = EDGE
         SolveError: a solve did not converge.
     """
     frame = Frame((0.0, 0.0, 0.0), 1.0, settings.size_mm)
-    coarser = fem.Settings(
-        settings.size_mm, edge_mm * settings.size_mm / 100.0, settings.grid, settings.material, settings.protocol
-    )
+    coarser = replace(settings, edge_mm=edge_mm * settings.size_mm / 100.0)
     try:
         simulation = fem.simulate_distance(np.asarray(phi, dtype=np.float32), frame, coarser, fem.Laps())
     except SolidError:
