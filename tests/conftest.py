@@ -92,3 +92,20 @@ def two_views(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("scene") / "two_views.xml"
     path.write_text(text.replace(six, "0:20 180:-10"))
     return path
+
+
+@pytest.fixture(scope="module")
+def small_refinements(lpips_weights) -> Iterator[None]:
+    """Small pictures and meshes, and two of the displacements."""
+    from genmf_mi import displacement, evaluate, prepare, target
+    from genmf_mi import refine as refine_module
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(evaluate, "RESOLUTION", 64)
+        patch.setattr(evaluate, "SAMPLES", 4)
+        patch.setattr(target, "FINEST", 24_000)
+        patch.setattr(displacement, "AMPLITUDES", (-0.5, 0.5))
+        patch.setattr(refine_module, "CHECKPOINT_EVERY", 2)
+        for module in (prepare, displacement):  # on edges of 3 mm, everything is broader than the 8 mm of a real part
+            patch.setattr(module, "BROAD_MM", 60.0)
+        yield

@@ -16,8 +16,7 @@ import yaml
 from PIL import Image
 
 import genmf_mi
-from genmf_mi import displacement, evaluate, prepare, scene, target, topology, variant
-from genmf_mi import refine as refine_module
+from genmf_mi import prepare, scene, topology, variant
 from genmf_mi.asset import Asset, load
 from genmf_mi.errors import AssetError, ConfigError, OutputError, SetupError
 from genmf_mi.geometry import mesh
@@ -53,17 +52,8 @@ def toy() -> Asset:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _small(lpips_weights):
-    """Small pictures and meshes, and two of the displacements."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(evaluate, "RESOLUTION", 64)
-        patch.setattr(evaluate, "SAMPLES", 4)
-        patch.setattr(target, "FINEST", 24_000)
-        patch.setattr(displacement, "AMPLITUDES", (-0.5, 0.5))
-        patch.setattr(refine_module, "CHECKPOINT_EVERY", 2)
-        for module in (prepare, displacement):  # on edges of 3 mm, everything is broader than the 8 mm of a real part
-            patch.setattr(module, "BROAD_MM", 60.0)
-        yield
+def _small(small_refinements):
+    pass
 
 
 CONFIG = genmf_mi.RefineConfig(iterations=6, resolution=96, samples=4, max_faces=6000, edge_mm=3.0, score_vgg=False,

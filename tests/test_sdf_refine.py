@@ -13,8 +13,7 @@ import trimesh
 from toys import egg, painted
 
 import genmf_mi
-from genmf_mi import displacement, evaluate, meshlab, prepare, samples, scene, solid, sources, target, topology
-from genmf_mi import refine as refine_module
+from genmf_mi import meshlab, samples, scene, solid, sources, topology
 from genmf_mi.asset import Asset, load
 from genmf_mi.cli import main
 from genmf_mi.errors import AssetError, OutputError
@@ -43,17 +42,8 @@ def shape() -> SdfAsset:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _small(lpips_weights):
-    """Small pictures, and two of the displacements."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(evaluate, "RESOLUTION", 64)
-        patch.setattr(evaluate, "SAMPLES", 4)
-        patch.setattr(target, "FINEST", 24_000)
-        patch.setattr(displacement, "AMPLITUDES", (-0.5, 0.5))
-        patch.setattr(refine_module, "CHECKPOINT_EVERY", 2)
-        for module in (prepare, displacement):
-            patch.setattr(module, "BROAD_MM", 60.0)
-        yield
+def _small(small_refinements):
+    pass
 
 
 class Interruption(Listener):
