@@ -37,6 +37,7 @@ def main(
     data: Positional[Path],
     /,
     weights: Path | None = None,
+    split: str = "test",
     count: int = 10,
     step_mm: float = 0.3,
     edge_mm: float = 1.2,
@@ -47,13 +48,14 @@ def main(
     Args:
         data: Folder of samples.
         weights: Of the network; those of the package if not given.
-        count: Shapes.
+        split: Of which shapes.
+        count: How many of them.
         step_mm: How far 99 % of the vertices move at most.
         edge_mm: Side of the lattice that the tetrahedra come from.
         threads: Of the CPU.
     """
     torch.set_num_threads(threads)
-    predictor, samples = Predictor(weights), StressSamples(data, "test")
+    predictor, samples = Predictor(weights), StressSamples(data, split)
     rows = []
     for item, about in enumerate(samples.records):
         if about["relief_mm"] is None or len(rows) == count:
@@ -74,11 +76,11 @@ def step(phi: torch.Tensor, predictor: Predictor, step_mm: float, edge_mm: float
     vertices = torch.as_tensor(vertices * (2.0 / (n - 1)) - 1.0, dtype=torch.float32).requires_grad_()
     faces = faces.astype(np.int64)
     mm = Frame.of(vertices.detach().numpy(), predictor.settings.size_mm).mm_per_unit
-    distance, box, coarse = MeshDistance(faces, n, every=1), window(phi), predictor.coarse(phi)
+    distance, box = MeshDistance(faces, n, every=1), window(phi)
 
     def band(vertices: torch.Tensor) -> torch.Tensor:
         field = distance(vertices)
-        return losses.mean(predictor.field(field, box, coarse), losses.band(field, BAND))
+        return losses.mean(predictor.field(field, box), losses.band(field, BAND))
 
     before = band(vertices)
     before.backward()

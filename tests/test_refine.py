@@ -320,10 +320,7 @@ class Waves:
     def __init__(self, device: str) -> None:
         pass
 
-    def coarse(self, phi: torch.Tensor) -> None:
-        pass
-
-    def field(self, phi: torch.Tensor, box: tuple[slice, slice, slice], coarse: None) -> torch.Tensor:
+    def field(self, phi: torch.Tensor, box: tuple[slice, slice, slice]) -> torch.Tensor:
         Waves.looks += 1
         stripes = 1 + 0.5 * torch.sin(8 * torch.linspace(-1, 1, 33))
         return stripes[:, None, None].expand(phi.shape)

@@ -134,10 +134,7 @@ class Waves:
 
         self.settings = SimpleNamespace(grid=33)
 
-    def coarse(self, phi: torch.Tensor) -> None:
-        """It is no network that is given a coarse solution."""
-
-    def field(self, phi: torch.Tensor, box: tuple[slice, slice, slice], coarse: None) -> torch.Tensor:
+    def field(self, phi: torch.Tensor, box: tuple[slice, slice, slice]) -> torch.Tensor:
         x = torch.linspace(-1, 1, 33)[:, None, None]
         return (1.5 + torch.sin(8 * x)) * torch.sigmoid(-phi * 20)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -41,14 +40,9 @@ class Tiny:
         self.network = StressNetwork(Architecture(4, side=2, poolings=2, grid=N)).double()
         torch.nn.init.constant_(self.network.fusion.out.bias, 0.2)
         self.network.requires_grad_(False)
-        self.boxes, self.known = [], []
+        self.boxes = []
 
-    def coarse(self, phi: torch.Tensor) -> None:
-        """This network asks for none; told apart by being counted."""
-        self.known.append(phi)
-
-    def field(self, phi: torch.Tensor, box: tuple[slice, slice, slice], coarse: None = None) -> torch.Tensor:
-        assert coarse is None
+    def field(self, phi: torch.Tensor, box: tuple[slice, slice, slice]) -> torch.Tensor:
         self.boxes.append(box)
         return compute.stress(self.network, phi, bfloat16=False, box=box)
 
@@ -155,7 +149,6 @@ class TestHeld:
     def penalty(self, tiny: Tiny, every: int = 3) -> tuple[StressPenalty, torch.Tensor]:
         mesh = body()
         tiny.boxes.clear()
-        tiny.known.clear()
         start = tensor(mesh.vertices)
         # One search, as each moves the samples deep inside by hundredths of a cell
         return StressPenalty(tiny, MeshDistance(mesh.faces, N, every=1000), start, every), start
@@ -213,12 +206,11 @@ class TestHeld:
             held((1 + 0.03 * i) * start)
         assert len(tiny.boxes) == 1 + looks
         assert all(box == tiny.boxes[0] for box in tiny.boxes)
-        assert len(tiny.known) == 1, "the coarse stress is that of the shape before"
 
     def test_of_phi_itself(self, tiny) -> None:
         """Where the shape is Φ, nothing stands between: a step against the gradient lowers the penalty."""
         phi = tensor(signed_distance(body().vertices, body().faces, N))[None]
-        held = StressPenalty(SimpleNamespace(field=tiny.field, coarse=tiny.coarse), lambda shape: shape, phi, every=1)
+        held = StressPenalty(tiny, lambda shape: shape, phi, every=1)
         place = phi.clone().requires_grad_()
         loss, _ = held(place)
         (gradient,) = torch.autograd.grad(loss, place)

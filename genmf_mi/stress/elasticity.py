@@ -19,8 +19,8 @@ from genmf_mi.stress.materials import Material
 TOLERANCE = 1e-6
 
 
-def soft_clamp(height: np.ndarray, nodal_volume: np.ndarray, modulus_mpa: float, fraction: float) -> np.ndarray:
-    """Spring stiffness of each node in N/mm, ``[N]``.
+def soft_clamp(height, nodal_volume, modulus_mpa: float, fraction: float):
+    """Spring stiffness of each node in N/mm, ``[N]``; arrays or tensors.
 
     w is 1 up to half of δ above the lowest node and falls to 0, smoothly, at 1.5 δ.
 
@@ -29,8 +29,9 @@ def soft_clamp(height: np.ndarray, nodal_volume: np.ndarray, modulus_mpa: float,
         nodal_volume: mm³, ``[N]``.
         fraction: δ as a fraction of the height of the body.
     """
-    extent = np.ptp(height)
-    profile = clamp_profile((height - height.min()) / extent, fraction)
+    base = height.min()
+    extent = height.max() - base
+    profile = clamp_profile((height - base) / extent, fraction)
     return modulus_mpa / (fraction * extent / 2) ** 2 * profile * nodal_volume
 
 
@@ -85,18 +86,31 @@ def multigrid(matrix: sp.bsr_matrix, points: np.ndarray):
     return sp.linalg.LinearOperator(matrix.shape, cycle, dtype=np.float64)
 
 
-def displacement(elements: P1, material: Material, excess_k: np.ndarray, spring: np.ndarray) -> tuple[np.ndarray, int]:
-    """Displacement in mm ``[N,3]`` under the temperature excess over the stress-free one ``[N]`` in K; CG iterations.
+class Equilibrium:
+    """The elastic equilibrium on one mesh, for as many loads as one likes.
 
-    Raises:
-        SolveError: the solve did not converge.
+    spring: of each node in N/mm, ``[N]``.
     """
-    matrix = elements.elastic(*material.lame, spring)
+
+    def __init__(self, elements: P1, material: Material, spring: np.ndarray) -> None:
+        self.matrix = elements.elastic(*material.lame, spring)
+        self._preconditioner = multigrid(self.matrix, elements.mesh.points)
+
+    def solve(self, load: np.ndarray) -> tuple[np.ndarray, int]:
+        """Displacement in mm ``[N,3]`` under forces in N ``[N,3]``; CG iterations.
+
+        Raises:
+            SolveError: the solve did not converge.
+        """
+        what = "the elastic equilibrium"
+        solution, count = solve_spd(self.matrix, load.reshape(-1), self._preconditioner, TOLERANCE, what=what)
+        return solution.reshape(-1, 3), count
+
+
+def thermal_load(elements: P1, material: Material, excess_k: np.ndarray) -> np.ndarray:
+    """Forces in N ``[N,3]`` of the temperature excess over the stress-free one, ``[N]`` in K."""
     cell_excess = excess_k[elements.mesh.cells].mean(axis=1)
-    load = elements.divergence_load(material.thermal_modulus * cell_excess).reshape(-1)
-    preconditioner = multigrid(matrix, elements.mesh.points)
-    solution, count = solve_spd(matrix, load, preconditioner, TOLERANCE, what="the elastic equilibrium")
-    return solution.reshape(-1, 3), count
+    return elements.divergence_load(material.thermal_modulus * cell_excess)
 
 
 def stress(elements: P1, material: Material, moved: np.ndarray, excess_k: np.ndarray) -> np.ndarray:

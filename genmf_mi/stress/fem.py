@@ -111,37 +111,49 @@ class Laps:
         self._progress(stage, done)
 
 
+class Problem:
+    """One body and what happens to it, with all that its adjoint needs (:mod:`genmf_mi.stress.sensitivity`).
+
+    mesh: in millimetres with z up. Once solved, it has ``cooling`` and ``equilibrium``, the two systems, ``spring [N]``
+    in N/mm, and ``excess [K+1,N]``, T − T₀ after each step of time.
+    """
+
+    def __init__(self, mesh: TetMesh, stuff: Material, protocol: Protocol) -> None:
+        self.elements, self.material, self.protocol = P1(mesh), stuff, protocol
+        start = stuff.stress_free_celsius
+        times = protocol.step_s * np.arange(1, protocol.steps + 1)
+        self.ambient = np.array([protocol.ambient(time, start) - start for time in times])
+
+    def solve(self, laps: Laps | None = None) -> Field:
+        """The field. Raises :class:`SolveError` if a solve did not converge."""
+        laps = laps or Laps()
+        elements, stuff, protocol = self.elements, self.material, self.protocol
+        height, start = elements.mesh.points[:, 2], stuff.stress_free_celsius
+        self.cooling = heat.Cooling(elements, stuff, protocol.film_w_mm2k, protocol.step_s)
+        tick = lambda step, steps: laps.tell("heat", 0.3 + 0.2 * step / steps)  # noqa: E731
+        self.excess = self.cooling.run(self.ambient, tick)
+        excess = self.excess[-1]
+        laps("heat", 0.5)
+        self.spring = elasticity.soft_clamp(
+            height, elements.nodal_volume(), stuff.youngs_modulus_mpa, protocol.clamp_fraction
+        )
+        self.equilibrium = elasticity.Equilibrium(elements, stuff, self.spring)
+        moved, iterations = self.equilibrium.solve(elasticity.thermal_load(elements, stuff, excess))
+        laps("elasticity", 0.9)
+        tensor = elasticity.stress(elements, stuff, moved, excess)
+        equivalent = elasticity.von_mises(tensor)
+        at_nodes = elements.to_nodes(equivalent)
+        laps("stress", 0.95)
+        return Field(elements, start + excess, moved, tensor, equivalent, at_nodes, iterations, laps.seconds)
+
+
 def solve(mesh: TetMesh, stuff: Material, protocol: Protocol, laps: Laps | None = None) -> Field:
     """The field on ``mesh``, given in millimetres with z up.
 
     Raises:
         SolveError: a solve did not converge.
     """
-    laps = laps or Laps()
-    start = stuff.stress_free_celsius
-    elements = P1(mesh)
-    temperature = heat.transient(
-        elements,
-        stuff,
-        protocol.film_w_mm2k,
-        lambda t: protocol.ambient(t, start),
-        start,
-        protocol.step_s,
-        protocol.steps,
-        progress=lambda step, steps: laps.tell("heat", 0.3 + 0.2 * step / steps),
-    )
-    laps("heat", 0.5)
-    excess = temperature - start
-    spring = elasticity.soft_clamp(
-        mesh.points[:, 2], elements.nodal_volume(), stuff.youngs_modulus_mpa, protocol.clamp_fraction
-    )
-    moved, iterations = elasticity.displacement(elements, stuff, excess, spring)
-    laps("elasticity", 0.9)
-    tensor = elasticity.stress(elements, stuff, moved, excess)
-    equivalent = elasticity.von_mises(tensor)
-    at_nodes = elements.to_nodes(equivalent)
-    laps("stress", 0.95)
-    return Field(elements, temperature, moved, tensor, equivalent, at_nodes, iterations, laps.seconds)
+    return Problem(mesh, stuff, protocol).solve(laps)
 
 
 def simulate(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from genmf_mi.stress.assembly import P1
@@ -11,28 +13,39 @@ _CHUNK = 4_000_000
 """Candidate pairs of a cell and a grid point handled at a time."""
 
 
-def to_grid(mesh: TetMesh, value: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, int]:
-    """The piecewise linear field ``value [N]`` at the grid points with Φ ≤ 0, zero at the others.
+@dataclass(frozen=True)
+class Places:
+    """Where samples of a grid lie in a mesh.
 
-    ``mesh`` is in the normalised frame. The surface of the mesh lies a little inside that of Φ in places, so about one
-    inner grid point in a hundred is in no tetrahedron; it takes the value of the nearest one that is.
+    sample: ``[M]``, into the flattened grid; cell: ``[M]``; point: ``[M,3]``, in the frame of the mesh and in ``cell``.
+    filled: how many of the samples are in no cell and have the cell and the point of the nearest one that is.
+    """
 
-    Returns:
-        float32 of the shape of ``phi``, and how many inner points took a neighbour's value.
+    sample: np.ndarray
+    cell: np.ndarray
+    point: np.ndarray
+    filled: int
+
+
+def locate(mesh: TetMesh, phi: np.ndarray) -> Places:
+    """The cells that the grid points with Φ ≤ 0 are in; ``mesh`` is in the normalised frame.
+
+    The surface of the mesh lies a little inside that of Φ in places, so about one inner grid point in a hundred is in
+    no tetrahedron; it is taken for the nearest one that is. Without any that is there are no places.
     """
     from scipy.ndimage import distance_transform_edt
 
     n = phi.shape[0]
     scale = (n - 1) / 2.0
     points = (mesh.points + 1.0) * scale
-    elements = P1(mesh.moved(points))
+    gradients = P1(mesh.moved(points)).gradients
     corner = points[mesh.cells]
     low = np.ceil(corner.min(axis=1) - 1e-9).astype(np.int64).clip(0)
     high = np.floor(corner.max(axis=1) + 1e-9).astype(np.int64).clip(max=n - 1)
     extent = (high - low + 1).clip(0)
     count = extent.prod(axis=1)
 
-    result = np.full(n**3, np.nan)
+    owner = np.full(n**3, -1)
     stops = np.searchsorted(np.cumsum(count), np.arange(_CHUNK, count.sum() + _CHUNK, _CHUNK), side="right")
     for start, stop in zip(np.r_[0, stops[:-1]], stops, strict=True):
         cell = np.repeat(np.arange(start, stop), count[start:stop])
@@ -41,19 +54,41 @@ def to_grid(mesh: TetMesh, value: np.ndarray, phi: np.ndarray) -> tuple[np.ndarr
         index = low[cell] + np.stack(
             [rank // (size[:, 1] * size[:, 2]), rank // size[:, 2] % size[:, 1], rank % size[:, 2]], axis=1
         )
-        offset = index - corner[cell, 0]
-        weight = np.einsum("kai,ki->ka", elements.gradients[cell], offset)
+        weight = np.einsum("kai,ki->ka", gradients[cell], index - corner[cell, 0])
         weight[:, 0] += 1.0
         inside = weight.min(axis=1) >= -1e-9
-        chosen = cell[inside]
-        target = np.ravel_multi_index(tuple(index[inside].T), (n, n, n))
-        result[target] = (weight[inside] * value[mesh.cells[chosen]]).sum(axis=1)
+        owner[np.ravel_multi_index(tuple(index[inside].T), (n, n, n))] = cell[inside]
 
-    result = result.reshape(n, n, n)
-    inner = phi <= 0
-    missing = np.isnan(result)
-    filled = int((missing & inner).sum())
-    if filled and not missing.all():
-        nearest = distance_transform_edt(missing, return_distances=False, return_indices=True)
-        result = result[tuple(nearest)]
-    return np.where(inner, np.nan_to_num(result), 0.0).astype(np.float32), filled
+    sample = np.flatnonzero(phi <= 0)
+    missing = owner < 0
+    filled = int(missing[sample].sum())
+    if missing.all():
+        return Places(*(np.zeros(shape, dtype=kind) for shape, kind in ((0, int), (0, int), ((0, 3), float))), filled)
+    place = np.arange(n**3)
+    if filled:
+        nearest = distance_transform_edt(missing.reshape(n, n, n), return_distances=False, return_indices=True)
+        place = np.ravel_multi_index(tuple(nearest), (n, n, n)).reshape(-1)
+    place = place[sample]
+    point = np.stack(np.unravel_index(place, (n, n, n)), axis=1) / scale - 1.0
+    return Places(sample, owner[place], point, filled)
+
+
+def to_grid(mesh: TetMesh, value: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, int]:
+    """The piecewise linear field ``value [N]`` at the grid points with Φ ≤ 0, zero at the others.
+
+    Returns:
+        float32 of the shape of ``phi``, and how many inner points took a neighbour's value, see :func:`locate`.
+    """
+    places = locate(mesh, phi)
+    field = np.zeros(phi.size, dtype=np.float32)
+    field[places.sample] = interpolated(mesh, value, places)
+    return field.reshape(phi.shape), places.filled
+
+
+def interpolated(mesh: TetMesh, value: np.ndarray, places: Places) -> np.ndarray:
+    """The piecewise linear field ``value [N]`` at ``places``, ``[M]``."""
+    chosen = places.cell
+    offset = places.point - mesh.points[mesh.cells[chosen, 0]]
+    weight = np.einsum("kai,ki->ka", P1(mesh).gradients[chosen], offset)
+    weight[:, 0] += 1.0
+    return (weight * value[mesh.cells[chosen]]).sum(axis=1)

@@ -12,6 +12,12 @@ class SolveError(GenmfError):
     """A linear system did not converge; no field is returned."""
 
 
+def jacobi(matrix) -> spl.LinearOperator:
+    """The inverse of the diagonal, as a preconditioner."""
+    inverse = 1.0 / matrix.diagonal()
+    return spl.LinearOperator(matrix.shape, lambda x: inverse * x, dtype=np.float64)
+
+
 def solve_spd(matrix, load, preconditioner, tolerance, guess=None, what="the system", most=2000):
     """Solve a symmetric positive definite system to a relative residual of ``tolerance``.
 

@@ -38,7 +38,7 @@ class StressPenalty:
         with torch.no_grad():
             phi = distance(initial)
             # One window for all looks, as the field jumps a little where it does
-            self.box, self.coarse = window(phi), predictor.coarse(phi)
+            self.box = window(phi)
             self.initial = self._measures(phi)
         self._calls = 0
 
@@ -62,7 +62,7 @@ class StressPenalty:
 
     def _measures(self, phi: Tensor) -> dict[str, Tensor]:
         """E and Var over the body, and E over its surface band; MPa and MPa²."""
-        field = self.predictor.field(phi, self.box, self.coarse)
+        field = self.predictor.field(phi, self.box)
         body, band = losses.body(phi), losses.band(phi, BAND)
         return {
             "stress_mean": losses.mean(field, body),

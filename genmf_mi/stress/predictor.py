@@ -89,22 +89,19 @@ class Predictor:
         self.settings = weights.settings_of(about["simulation"])
 
     def coarse(self, phi: Tensor) -> Tensor | None:
-        """Von Mises on a coarse mesh in MPa ``[1,n,n,n]`` for Φ of that shape; None if the network does not ask for it.
+        """Von Mises on a coarse mesh in MPa ``[1,n,n,n]`` for Φ of that shape, differentiable; None if the network does
+        not ask for it.
 
         Raises:
             SolveError: a solve did not converge.
         """
         edge = self.network.architecture.coarse_mm
-        if not edge:
-            return None
-        known = coarse_stress(phi.detach().cpu()[0].numpy(), self.settings, edge)
-        return torch.from_numpy(known)[None].to(phi)
+        return coarse_stress(phi, self.settings, edge) if edge else None
 
     def field(self, phi: Tensor, box: tuple[slice, slice, slice] | None = None, coarse: Tensor | None = None) -> Tensor:
         """Von Mises in MPa ``[1,n,n,n]`` for Φ of that shape; differentiable, see :func:`compute.stress`.
 
-        coarse: as by :meth:`coarse`, for Φ if not given. It has no derivatives. Hold on to that of the shape before
-        while its surface is being changed.
+        coarse: :meth:`coarse` of Φ, which is found if not given.
         """
         return compute.stress(self.network, phi, self.bfloat16, box, self.coarse(phi) if coarse is None else coarse)
 

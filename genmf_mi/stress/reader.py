@@ -75,7 +75,7 @@ class StressSamples(Dataset):
         augment: take each sample in one of its eight symmetries, at random from torch's generator.
         stride: keep every ``stride``-th sample of the grid, 2 makes 65³ of 129³.
         cache: a folder for decoded samples (13 MB each at 129³), which are then mapped into memory: unpacking and
-            rebuilding one takes half a second, and its coarse stress two.
+            rebuilding one takes half a second, and its coarse stress three.
         coarse_mm: edge of the mesh for :meth:`with_coarse`, 0 for none.
 
     Raises:
@@ -107,7 +107,6 @@ class StressSamples(Dataset):
         self.cache = None if cache is None else Path(cache) / kind
         self.coarse_mm = coarse_mm
         self.simulation = settings_of(self.settings["simulation"])
-        self._item = {record["index"]: item for item, record in enumerate(self.records)}
 
     def __len__(self) -> int:
         return len(self.records)
@@ -129,13 +128,10 @@ class StressSamples(Dataset):
         """
 
         def solve() -> np.ndarray:
-            return coarse_stress(self.arrays(item)[0], self.simulation, self.coarse_mm).astype(np.float16)
+            phi = torch.from_numpy(self.arrays(item)[0].astype(np.float32))[None]
+            return coarse_stress(phi, self.simulation, self.coarse_mm)[0].numpy().astype(np.float16)
 
         return self._cached(item, f"-{self.coarse_mm:g}", solve)
-
-    def before(self, item: int) -> int:
-        """The item that is the same shape without relief; ``item`` itself if that is not there."""
-        return self._item.get(self.records[item]["index"] // 2 * 2, item)
 
     def _cached(self, item: int, kind: str, make: Callable[[], np.ndarray]) -> np.ndarray:
         if self.cache is None:
@@ -162,15 +158,10 @@ class StressSamples(Dataset):
         return self._tensors(self.arrays(item))
 
     def with_coarse(self, item: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
-        """Φ, von Mises, and :meth:`coarse`, None without ``coarse_mm``.
-
-        Half of the samples with relief, at random from torch's generator, are given the coarse stress of the shape
-        without: that is what is known of a shape that is being refined.
-        """
+        """Φ, von Mises, and :meth:`coarse`, None without ``coarse_mm``."""
         if not self.coarse_mm:
             return *self[item], None
-        known = self.before(item) if self.augment and torch.rand(()) < 0.5 else item
-        return self._tensors((*self.arrays(item), self.coarse(known)))
+        return self._tensors((*self.arrays(item), self.coarse(item)))
 
     def _tensors(self, fields: tuple[np.ndarray, ...]) -> tuple[torch.Tensor, ...]:
         """Strided, in one and the same symmetry, as float32 ``[1,n,n,n]``."""

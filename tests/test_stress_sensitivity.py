@@ -1,0 +1,86 @@
+"""The adjoint of the solver against differences of the solver: node by node, and for a surface that moves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from genmf_mi.stress import fem
+from genmf_mi.stress.grid import interpolated, locate
+from genmf_mi.stress.sensitivity import by_nodes, by_surface
+from genmf_mi.stress.tetrahedra import TetMesh, stuff
+
+PLA = fem.material("pla")
+SLOW = replace(fem.Protocol(), clamp_fraction=0.1)
+"""A clamp that the coarse meshes of these tests resolve."""
+
+
+@pytest.fixture(scope="module")
+def body() -> tuple[TetMesh, np.ndarray]:
+    """A lopsided egg of 100 mm, z up, and samples of a grid inside."""
+    ticks = np.linspace(-1, 1, 33)
+    x, y, z = np.meshgrid(ticks, ticks, ticks, indexing="ij")
+    phi = np.sqrt((x * (1 + 0.2 * z)) ** 2 + (1.3 * y) ** 2 + z**2) - 0.85 + 0.06 * np.sin(4 * x + 2 * y)
+    return stuff(phi, 0.3), phi
+
+
+class Case:
+    """A weighted sum of the field at fixed places, as a function of the nodes."""
+
+    def __init__(self, mesh: TetMesh, phi: np.ndarray) -> None:
+        self.mesh = mesh.moved(50 * mesh.points)
+        self.places = locate(mesh, phi)
+        self.point = 50 * self.places.point
+        self.weight = np.random.default_rng(0).uniform(0, 1, len(self.point)) / len(self.point)
+
+    def solved(self, points: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> tuple[fem.Problem, fem.Field]:
+        monkeypatch.setattr("genmf_mi.stress.elasticity.TOLERANCE", 1e-11)
+        monkeypatch.setattr("genmf_mi.stress.heat.TOLERANCE", 1e-12)
+        problem = fem.Problem(self.mesh.moved(points), PLA, SLOW)
+        return problem, problem.solve()
+
+    def scalar(self, points: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> float:
+        _, field = self.solved(points, monkeypatch)
+        places = replace(self.places, point=self.point)
+        return float(self.weight @ interpolated(field.mesh, field.von_mises_nodes, places))
+
+    def gradient(self, monkeypatch: pytest.MonkeyPatch) -> tuple[fem.Problem, np.ndarray]:
+        problem, field = self.solved(self.mesh.points, monkeypatch)
+        return problem, by_nodes(problem, field, self.places.cell, self.point, self.weight)
+
+
+def difference(case: Case, way: np.ndarray, monkeypatch: pytest.MonkeyPatch, step: float = 1e-3) -> float:
+    ahead, behind = (case.scalar(case.mesh.points + s * way, monkeypatch) for s in (step, -step))
+    return (ahead - behind) / (2 * step)
+
+
+def test_by_nodes(body, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every part has its say: places, stress, springs, heat."""
+    case = Case(*body)
+    _, gradient = case.gradient(monkeypatch)
+    rng = np.random.default_rng(1)
+    height = case.mesh.points[:, 2]
+    low = height < height.min() + 0.1 * np.ptp(height)
+    for chosen in (np.ones_like(low), low):
+        for _ in range(2):
+            way = rng.normal(size=gradient.shape) * chosen[:, None]
+            expected = difference(case, way, monkeypatch)
+            assert (gradient * way).sum() == pytest.approx(expected, rel=1e-4, abs=1e-9)
+
+
+def test_by_surface(body, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For a surface that moves, with the nodes inside as far as they are, and harmonic, between."""
+    case = Case(*body)
+    problem, gradient = case.gradient(monkeypatch)
+    inner = np.ones(len(gradient), dtype=bool)
+    inner[problem.elements.boundary] = False
+    surface = by_surface(problem, gradient)
+    assert not surface[inner].any()
+    way = np.stack([np.sin(case.mesh.points[:, (i + 1) % 3] / 20 + i) for i in range(3)], axis=1)
+    stiffness = problem.elements.stiffness().tocsr()
+    for axis in range(3):
+        load = -stiffness[inner][:, ~inner] @ way[~inner, axis]
+        way[inner, axis] = np.linalg.solve(stiffness[inner][:, inner].toarray(), load)
+    assert (surface * way).sum() == pytest.approx(difference(case, way, monkeypatch), rel=1e-3)
