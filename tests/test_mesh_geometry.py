@@ -12,7 +12,7 @@ from scipy.sparse.linalg import spsolve
 from genmf_mi import meshlab
 from genmf_mi.geometry.broad import broad_part, broad_smoother
 from genmf_mi.geometry.mesh import Relief, Smoother, UniformAdam, laplacian
-from genmf_mi.geometry.room import BEND, SIDEWAYS, SLIM, base, bends, limb_width, room
+from genmf_mi.geometry.room import BEND, SIDEWAYS, SLIM, STANDING, base, bends, limb_width, room
 from genmf_mi.geometry.untangle import untangle
 
 
@@ -260,6 +260,12 @@ def box_exit(half):
     return gap
 
 
+def aloft(vertices, faces, normals, *rest):
+    """:func:`room` of a surface far above the bed."""
+    lone = np.concatenate([vertices, [[0.0, -100.0, 0.0]]])
+    return tuple(x[:-1] for x in room(lone, faces, np.concatenate([normals, [[0.0, -1.0, 0.0]]]), *rest))
+
+
 class TestRoom:
     def test_sphere(self):
         """Inwards it converges at the centre, outwards it opens; the cap counts where it is smaller."""
@@ -267,12 +273,12 @@ class TestRoom:
         convex, hollow = bends(vertices, faces, normals)
         np.testing.assert_allclose(convex, 1 / 0.3, rtol=1e-6)
         np.testing.assert_allclose(hollow, 0, atol=1e-9)
-        inward, outward, sideways = room(vertices, faces, normals, 10.0, 0.0, nowhere)
+        inward, outward, sideways = aloft(vertices, faces, normals, 10.0, 0.0, nowhere)
         np.testing.assert_allclose(inward, BEND * 0.3, rtol=1e-6)
         np.testing.assert_allclose(outward, 10.0, rtol=1e-4)
-        inside_out = room(vertices, faces[:, ::-1], -normals, 10.0, 0.0, nowhere)
+        inside_out = aloft(vertices, faces[:, ::-1], -normals, 10.0, 0.0, nowhere)
         np.testing.assert_allclose(inside_out[1], BEND * 0.3, rtol=1e-6)
-        inward, outward, sideways = room(vertices, faces, normals, 0.05, 0.0, nowhere)
+        inward, outward, sideways = aloft(vertices, faces, normals, 0.05, 0.0, nowhere)
         edges = np.linalg.norm(vertices[faces] - vertices[np.roll(faces, 1, axis=1)], axis=2)
         assert 0 < sideways.min() <= sideways.max() <= SIDEWAYS * edges.max()
         for x in (inward, outward):
@@ -291,11 +297,11 @@ class TestRoom:
         middle = (np.abs(normals[:, 1]) > 0.99) & (np.abs(vertices[:, [0, 2]]).max(axis=1) < 0.3)
         middle &= vertices[:, 1] > 0  # the lower side is the base
         for wall in (0.0, 0.05, 0.15):
-            inward, outward, _ = room(vertices, faces, normals, 0.15, wall, gap)
+            inward, outward, _ = aloft(vertices, faces, normals, 0.15, wall, gap)
             assert (2 * inward[middle] <= 0.2 - wall).all()
             assert (inward[middle] > 0.4 * (0.2 - wall) * 0.98).all()
             np.testing.assert_allclose(outward[middle], 0.15, rtol=0.07)
-        inward, outward, sideways = room(vertices, faces, normals, 0.15, 0.25, gap)
+        inward, outward, sideways = aloft(vertices, faces, normals, 0.15, 0.25, gap)
         assert (inward[middle] == 0).all() and (sideways[middle] == 0).all()
         assert (outward[middle] > 0.14).all()
 
@@ -307,7 +313,7 @@ class TestRoom:
             """A tenth ahead, far elsewhere: the body is bulky."""
             return np.where(np.einsum("nk,nk->n", points, directions) > 0.99, 0.1, 5.0)
 
-        _, outward, _ = room(vertices, faces, normals, 0.5, 0.0, gap)
+        _, outward, _ = aloft(vertices, faces, normals, 0.5, 0.0, gap)
         assert (outward > 0.02).all() and (2 * outward < 0.1).all()
 
     @pytest.mark.parametrize(
@@ -333,9 +339,25 @@ class TestRoom:
     def test_a_tight_spot_limits_its_surroundings(self):
         vertices, faces, normals = sphere(3)
         near_pole = vertices[:, 1] > 0.999
-        _, outward, _ = room(vertices, faces, normals, 0.5, 0.0, lambda *_: np.where(near_pole, 0.01, 1.0))
+        _, outward, _ = aloft(
+            vertices, faces, normals, 0.5, 0.0, lambda *_: np.append(np.where(near_pole, 0.01, 1.0), 1.0)
+        )
         tight = outward < 0.01
         assert 5 < tight.sum() < 50 and (vertices[tight, 1] > 0.9).all()
+
+    def test_what_stands_goes_on_standing(self):
+        """Of two feet neither is lifted, whatever the relief, and nothing comes to lie below them."""
+        left, faces, normals = sphere(3, radius=0.3)
+        right = left + np.array([1.0, 0.01, 0.0])
+        vertices, normals = np.concatenate([left, right]), np.concatenate([normals, normals])
+        inward, outward, _ = room(vertices, np.concatenate([faces, faces + len(left)]), normals, 0.1, 0.0, nowhere)
+        lowest = vertices[:, 1].min()
+        for foot in (np.arange(len(left)), len(left) + np.arange(len(right))):
+            at = foot[vertices[foot, 1].argmin()]
+            assert max(inward[at], outward[at]) <= STANDING * 0.01 * (1 + 1e-9)
+        assert (vertices + outward[:, None] * normals)[:, 1].min() >= lowest
+        high = vertices[:, 1] > 0
+        np.testing.assert_allclose(outward[high], 0.1, rtol=0.03)
 
     def test_flat_base_is_pinned(self):
         vertices, faces, normals = block(1.0, 0.6, 0.8)

@@ -1,4 +1,4 @@
-"""How far each vertex may move: the cap, thin walls, narrow gaps, tight bends, and a flat base that stays flat.
+"""How far each vertex may move: the cap, thin walls, narrow gaps, tight bends, and feet that stay where they stand.
 
 Heights are taken along the normals of the initial surface. Neighbouring vertices then cannot run into each other as
 long as the height stays below the radius at which their normals meet, and opposite walls cannot meet as long as each
@@ -17,6 +17,9 @@ SIDEWAYS = 0.5
 """Share of the shortest edge at a vertex that it may move across its normal."""
 SLIM = 0.05
 """Share of its width that relief may take from a limb: more shows in the outline, which the gradient does not see."""
+STANDING = 0.5
+"""Share of its height above the bed that a vertex may move. Whatever stands on the bed goes on standing on it, and
+nothing comes to lie below; a stress stage would lift all feet but one to be held less."""
 BASE_BAND = 0.005
 """Faces within this share of the height from the lowest point, looking down, are the base."""
 
@@ -43,7 +46,8 @@ def room(
     inward = np.minimum(inward, 0.45 * np.maximum(through - wall, 0))
     outward = np.minimum(outward, 0.3 * gap(vertices, normals))
     slim = SLIM * limb_width(vertices, normals, through, gap)
-    inward, outward = np.minimum(inward, slim), np.minimum(outward, slim)
+    standing = STANDING * (vertices[:, 1] - vertices[:, 1].min())
+    inward, outward = (np.minimum(x, np.minimum(slim, standing)) for x in (inward, outward))
     inward, outward = (_spread_minimum(x, faces) for x in (inward, outward))
     pinned = base(vertices, faces)
     inward[pinned] = outward[pinned] = 0

@@ -39,6 +39,7 @@ _WORDS = {
     "stress_mean": "predicted stress, mean (1: before)",
     "stress_variance": "predicted stress, variance (1: before)",
     "stress_band": "predicted stress, surface band (1: before)",
+    "stress_peak": "predicted stress, peak (1: before)",
 }
 _UNITS = {"mm": "mm", "mm2": "mm²", "mm3": "mm³", "seconds": "s", "s": "s", "deg": "°", "mb": "MB"}
 

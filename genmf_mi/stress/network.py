@@ -38,7 +38,7 @@ from genmf_mi.stress.layers import (
 
 STRESS_SCALE_MPA = 3.0
 """k of the target log(1 + σ/k)."""
-CORRECTION = 0.05
+CORRECTION = 0.025
 """Unit of what is added to the coarse stress, in log(1 + σ/k): about twice its root mean square. Without it, the steps
 of the optimiser are larger than what is to be learned, and in 250 of them nothing was."""
 MARGIN = 4

@@ -16,7 +16,7 @@ from genmf_mi.stress.metrics import BAND
 from genmf_mi.stress.network import window
 from genmf_mi.stress.predictor import Predictor
 
-EVERY = 5
+EVERY = 10
 """Iterations from one look at the field to the next."""
 
 
@@ -43,7 +43,8 @@ class StressPenalty:
         self._calls = 0
 
     def __call__(self, shape: Tensor) -> tuple[Tensor, dict[str, float]]:
-        """L_stress of ``shape``, and each term as of the last look, over that of the initial shape.
+        """L_stress of ``shape``, 0 for the initial one, and each term as of the last look, over that of the initial
+        shape.
 
         The scalar is linear in the shape between two looks.
         """
@@ -56,16 +57,17 @@ class StressPenalty:
         self._anchor = shape.detach().clone()
         moving = self._anchor.clone().requires_grad_()
         relative = {name: value / self.initial[name] for name, value in self._measures(self.distance(moving)).items()}
-        loss = sum(relative.values())
+        loss = sum(value - 1 for value in relative.values())
         (self._gradient,) = torch.autograd.grad(loss, moving)
         self._loss, self._terms = loss.detach(), {name: float(value.detach()) for name, value in relative.items()}
 
     def _measures(self, phi: Tensor) -> dict[str, Tensor]:
-        """E and Var over the body, and E over its surface band; MPa and MPa²."""
+        """E and Var over the body, E over its surface band, and the peak; MPa and MPa²."""
         field = self.predictor.field(phi, self.box)
         body, band = losses.body(phi), losses.band(phi, BAND)
         return {
             "stress_mean": losses.mean(field, body),
             "stress_variance": losses.variance(field, body),
             "stress_band": losses.mean(field, band),
+            "stress_peak": losses.peak(field, body),
         }

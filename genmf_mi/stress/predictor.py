@@ -19,7 +19,7 @@ from genmf_mi.stress.statistics import SURFACE_BAND_MM
 from genmf_mi.stress.tetrahedra import TetMesh
 
 PACKAGED = Path(__file__).with_name("compact.safetensors")
-PACKAGED_SHA256 = "35fa9eb6031ba3cdd9f97c0a20a176c4be1a08c0d8429981b6b2bcab7a492bcd"
+PACKAGED_SHA256 = "010adad700895f60c15ccc99106e30aa61c4271cdde329a21106d8692501dcf5"
 THIN = 0.01
 """Part of the surface under which a body may be thinner than two cells without a warning."""
 

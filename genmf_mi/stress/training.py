@@ -42,6 +42,9 @@ WARM_UP = 0.02
 """Part of the training over which the learning rate rises."""
 CLIP = 1.0
 """Largest norm of a gradient."""
+FLOOR = 1e-5
+"""Added to the error of the coarse stress, in the unit of the loss, before that of the network is divided by it: a
+sample counts by the share of the error that the network leaves, but one that is right already hardly counts."""
 FORGIVEN = 5
 """Steps in a row without a finite gradient after which the training gives up."""
 
@@ -149,8 +152,12 @@ class _Training:
             phi, true, coarse = (None if x is None else x[box].to(self.device) for x in (phi, true, coarse))
             told = log_stress(self.net, phi, self.bfloat16, coarse)
             loss = metrics.masked_mse(told, to_target(true), phi, self.config.tail)
-            (loss / self.config.batch).backward()
             total += float(loss.detach())
+            if coarse is not None:
+                # Where a coarse mesh loses a thin wall, its error is a hundred times that of the next sample
+                known = metrics.masked_mse(to_target(coarse), to_target(true), phi, self.config.tail)
+                loss = loss / (known + FLOOR)
+            (loss / self.config.batch).backward()
         norm = float(torch.nn.utils.clip_grad_norm_(self.net.parameters(), CLIP))
         if math.isfinite(total) and math.isfinite(norm):
             self.optimiser.step()
