@@ -1,6 +1,6 @@
 """How far can relief lower stress at all? Descent along the gradient of the stress alone, judged by finite elements.
 
-    GENMF_TEST_ASSETS=DIR python -m benchmarks.stress_limit [NAMES ...] [--steps 30]
+    GENMF_TEST_ASSETS=DIR python -m benchmarks.stress_limit [NAMES ...] [--steps 16]
 
 The surface of each asset moves within the bounds of a refinement, from where it is at first, with no thought of what
 it looks like. What comes out is as low as a stress stage could bring it if appearance were free.
@@ -29,7 +29,7 @@ from genmf_mi.stress.predictor import Predictor
 def main(
     names: Positional[tuple[str, ...]] = FIVE,
     /,
-    steps: int = 30,
+    steps: int = 16,
     rate: float = 0.0,
     weights: Path | None = None,
     threads: int = 1,
@@ -39,7 +39,7 @@ def main(
     Args:
         names: Of assets in the folder ``GENMF_TEST_ASSETS``.
         steps: Of the optimiser, each with a look at the stress.
-        rate: Learning rate; five times that of a refinement, which makes more steps, if 0.
+        rate: Learning rate; ten times that of a refinement, which makes more steps, if 0.
         weights: Of the network; those of the package if not given.
         threads: Of the CPU.
     """
@@ -54,7 +54,7 @@ def main(
 def descend(path: Path, steps: int, rate: float, weights: Path | None) -> dict:
     """``told`` and ``found``: the terms of the penalty and the solver's measures, over those before."""
     config = RefineConfig()
-    rate = rate or 5 * config.learning_rate
+    rate = rate or 10 * config.learning_rate
     asset = sources.load(path)
     device = variant.use(config.device)
     with tempfile.TemporaryDirectory() as scratch:

@@ -129,12 +129,17 @@ def scores(
     training = StressSamples(data, "train", cache=cache)
     training.records = training.records[:: max(1, len(training) // fit_on)]
     labels = iter(coarse)
+    solved = [predictor.coarse(samples[item][0]) for item in range(len(samples))]
+    alone, given = iter(solved), iter(solved)
     judged: dict[str, Predict] = {
         "constant": baselines.constant(training),
         "thickness and curvature": baselines.pointwise(training),
-        "network": predictor.field,
+        "coarse mesh alone": lambda phi: next(alone),
+        "network": lambda phi: predictor.field(phi, coarse=next(given)),
         "labels": lambda phi: next(labels)[1],
     }
+    if solved[0] is None:
+        del judged["coarse mesh alone"]
     if finer is None:
         del judged["labels"]
     shapes = [complexity(samples[item][0][0].numpy()) for item in range(len(samples))]

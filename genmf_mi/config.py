@@ -81,7 +81,7 @@ class RefineConfig:
     """Keep the predicted thermal stress down in a second stage."""
     stress_weight: float = 0.3
     """Pull of the stress against that of the appearance; at 1 both move the surface equally fast at first."""
-    stress_every: int = 5
+    stress_every: int = 10
     """Iterations from one look at the stress to the next; its gradient is held in between."""
     stage_one_share: float = 0.6
     """Share of the iterations before stress joins in."""

@@ -117,6 +117,19 @@ def test_predictor_solves_for_it_or_holds_on_to_one(tmp_path: Path, known: np.nd
     assert torch.allclose(judge.field(shape, box=(slice(0, N),) * 3)[inside], told[inside], atol=1e-6)
 
 
+def test_predictor_follows_it(tmp_path: Path, phi: np.ndarray) -> None:
+    """An untrained network adds nothing, so that all derivatives are those of the solver."""
+    weights.save(tmp_path / "w.safetensors", StressNetwork(ASKING), "compact", asdict(SETTINGS), {})
+    judge = Predictor(tmp_path / "w.safetensors", precision="float32")
+    gradients = []
+    for field in (judge.field, lambda shape: coarse_stress(shape, SETTINGS, EDGE_MM)):
+        shape = torch.from_numpy(phi)[None].requires_grad_()
+        field(shape)[shape.detach() <= 0].mean().backward()
+        gradients.append(shape.grad)
+    assert gradients[0].abs().max() > 0
+    assert torch.allclose(*gradients, atol=1e-4 * float(gradients[1].abs().max()))
+
+
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_samples(tmp_path_factory.mktemp("coarse") / "data")

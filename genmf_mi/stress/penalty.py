@@ -16,9 +16,6 @@ from genmf_mi.stress.metrics import BAND
 from genmf_mi.stress.network import window
 from genmf_mi.stress.predictor import Predictor
 
-EVERY = 10
-"""Iterations from one look at the field to the next."""
-
 
 class StressPenalty:
     """L_stress of a shape that is being refined, relative to the shape that it starts from.
@@ -31,9 +28,7 @@ class StressPenalty:
         every: calls per look at the field.
     """
 
-    def __init__(
-        self, predictor: Predictor, distance: Callable[[Tensor], Tensor], initial: Tensor, every: int = EVERY
-    ) -> None:
+    def __init__(self, predictor: Predictor, distance: Callable[[Tensor], Tensor], initial: Tensor, every: int) -> None:
         self.predictor, self.distance, self.every = predictor, distance, every
         with torch.no_grad():
             phi = distance(initial)
