@@ -79,7 +79,7 @@ class RefineConfig:
     """Gradients well below this move the surface in proportion instead of at full steps."""
     stress: bool = True
     """Keep the predicted thermal stress down in a second stage."""
-    stress_weight: float = 0.3
+    stress_weight: float = 1.0
     """Pull of the stress against that of the appearance; at 1 both move the surface equally fast at first."""
     stress_every: int = 10
     """Iterations from one look at the stress to the next; its gradient is held in between."""

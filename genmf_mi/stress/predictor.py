@@ -19,7 +19,7 @@ from genmf_mi.stress.statistics import SURFACE_BAND_MM
 from genmf_mi.stress.tetrahedra import TetMesh
 
 PACKAGED = Path(__file__).with_name("compact.safetensors")
-PACKAGED_SHA256 = "010adad700895f60c15ccc99106e30aa61c4271cdde329a21106d8692501dcf5"
+PACKAGED_SHA256 = "d6245629f5b1e2f0a46d60bb7e360b30bf2bfa76f584af845bf59f302996c294"
 THIN = 0.01
 """Part of the surface under which a body may be thinner than two cells without a warning."""
 
