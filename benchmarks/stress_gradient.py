@@ -21,6 +21,7 @@ from benchmarks import record
 from genmf_mi.frame import Frame
 from genmf_mi.geometry.distance import MeshDistance
 from genmf_mi.geometry.mesh import Smoother, percentile
+from genmf_mi.geometry.room import STANDING
 from genmf_mi.losses import stress as losses
 from genmf_mi.stress import fem
 from genmf_mi.stress.metrics import BAND
@@ -89,7 +90,10 @@ def step(phi: torch.Tensor, predictor: Predictor, step_mm: float, edge_mm: float
         way = -smoother(smoother(vertices.grad))
         length = way.norm(dim=1)
         way *= step_mm / mm / percentile(length, 0.99)
-        way *= (step_mm / mm / way.norm(dim=1, keepdim=True).clamp_min(1e-12)).clamp(max=1)
+        # What stands goes on standing, as in a refinement; to lift a foot would lower the stress too easily
+        height = vertices[:, 1] - vertices[:, 1].min()
+        reach = (STANDING * height).clamp(max=step_mm / mm)[:, None]
+        way *= (reach / way.norm(dim=1, keepdim=True).clamp_min(1e-12)).clamp(max=1)
         moved = vertices + way
         predicted = float(band(moved) / before)
     found = [simulated(v.detach().numpy(), faces, predictor, edge_mm) for v in (vertices, moved)]
