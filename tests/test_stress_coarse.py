@@ -63,6 +63,18 @@ def test_a_body_that_the_mesh_cannot_hold_has_none() -> None:
     assert not shape.grad.any()
 
 
+def test_a_thin_body_has_a_finer_mesh() -> None:
+    """Walls of two cells, through which a mesh of three would see."""
+    ticks = np.linspace(-1, 1, N)
+    x, y, z = np.meshgrid(ticks, ticks, ticks, indexing="ij")
+    ball = np.sqrt(x**2 + y**2 + z**2) - 0.8
+    shell = np.maximum(ball, -ball - 2 * CELL).astype(np.float32)
+    thick, thin = (coarse.CoarseBody(body, SETTINGS, 10.0) for body in (ball.astype(np.float32), shell))
+    assert thin.edge < thick.edge == pytest.approx(10 * 0.8 / thick.mm)
+    volume = 4 / 3 * np.pi * (0.8**3 - (0.8 - 2 * CELL) ** 3)
+    assert thin.mesh.volumes.sum() == pytest.approx(volume, rel=0.12)
+
+
 CHANGES = {
     "everywhere": lambda x, y, z: np.ones_like(x),
     "at one side": lambda x, y, z: np.sin(2 * x + 0.5),

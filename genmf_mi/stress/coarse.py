@@ -19,6 +19,10 @@ from genmf_mi.stress.grid import interpolated, locate
 
 EDGE_MM = 2.5
 """Side of the lattice that the tetrahedra come from, on a part of 100 mm."""
+HELD, FINER = 0.9, (1.0, 0.7, 0.5)
+"""Share of the body's volume that a mesh must hold, and the shares of the edge that are tried one after the other until
+one does: thin walls fall through a coarse mesh, and what is left of the body says nothing of it. Thin bodies have few
+cells, so that a fine mesh costs no more."""
 BEYOND_CELLS = 8.0
 """How far outside of the body there is a value, that of the nearest point inside: relief may grow that far."""
 
@@ -50,8 +54,7 @@ class CoarseBody:
 
     def __init__(self, phi: np.ndarray, settings: fem.Settings, edge_mm: float) -> None:
         self.phi, self.mm = phi, Frame((0.0, 0.0, 0.0), 1.0, settings.size_mm).mm_per_unit
-        self.edge = edge_mm * settings.size_mm / 100.0 / self.mm
-        self.mesh, _ = tetrahedra.largest_body(tetrahedra.stuff(phi, self.edge))
+        self.edge, self.mesh = _stuffed(phi, edge_mm * settings.size_mm / 100.0 / self.mm)
         self.problem = fem.Problem(
             self.mesh.moved(self._to_print(self.mesh.points)), fem.material(settings.material), settings.protocol
         )
@@ -108,6 +111,23 @@ class CoarseBody:
     def _from_print(self, gradient: np.ndarray) -> np.ndarray:
         """A derivative per mm in the frame of the printer as one in the normalised frame, ``[N,3]``."""
         return np.stack([gradient[:, 0], gradient[:, 2], -gradient[:, 1]], axis=1) * self.mm
+
+
+def _stuffed(phi: np.ndarray, edge: float) -> tuple[float, tetrahedra.TetMesh]:
+    """The coarsest mesh that holds the body, or the finest that was tried, and its edge. Raises :class:`SolidError` if
+    there is nothing in any."""
+    cell = 2.0 / (phi.shape[0] - 1)
+    volume = np.clip(0.5 - phi / cell, 0, 1).sum() * cell**3
+    for share in FINER:
+        try:
+            mesh, _ = tetrahedra.largest_body(tetrahedra.stuff(phi, share * edge))
+        except SolidError:
+            if share == FINER[-1]:
+                raise
+            continue
+        if mesh.volumes.sum() > HELD * volume:
+            break
+    return share * edge, mesh
 
 
 class _CoarseStress(torch.autograd.Function):

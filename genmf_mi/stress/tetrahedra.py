@@ -70,12 +70,10 @@ def stuff(phi: np.ndarray, edge: float) -> TetMesh:
         raise SolidError("the distance field has values that are not numbers; rebuild it from a clean mesh.")
     lattice, cells, corners = _lattice(phi, edge)
     value = sample(phi, lattice)
-    cells = cells[(value[cells] < 0).any(axis=1)]
-    if len(cells) == 0:
-        raise SolidError("the body is thinner than the tetrahedra everywhere; choose a smaller --edge-mm.")
+    cells = _touched(value, cells)
     is_long = _long_test(corners)
     lattice, value = _warp(lattice, value, cells, is_long)
-    cells = cells[(value[cells] < 0).any(axis=1)]
+    cells = _touched(value, cells)
     mesh = _compact(*_split(lattice, value, cells, is_long))
     worst = float(mesh.quality.min())
     if worst < QUALITY_FLOOR:
@@ -174,6 +172,14 @@ def _lattice(phi: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray, int]
         ring = [np.ravel_multi_index(tuple((first + step + o).T), shape) for o in (0 * step, right, right + up, up)]
         cells += [np.stack([*centre_id, ring[i], ring[(i + 1) % 4]], axis=1) for i in range(4)]
     return points, np.concatenate(cells), len(corner)
+
+
+def _touched(value: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """The cells that have a corner inside."""
+    cells = cells[(value[cells] < 0).any(axis=1)]
+    if len(cells) == 0:
+        raise SolidError("the body is thinner than the tetrahedra everywhere; choose a smaller --edge-mm.")
+    return cells
 
 
 def _long_test(corners: int):
