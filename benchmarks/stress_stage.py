@@ -54,13 +54,17 @@ def row(asset: str, metrics: dict) -> dict:
         return {key: None if figures.get(key) is None else round(figures[key], 4) for key in MEASURES}
 
     verdict, lpips = metrics["stress"], {}
+    if left_out := metrics.get("stress_stage_left_out"):  # then the result is what it is without the stage
+        after = verdict["ratio"]["after"]
+        verdict["ratio"] |= {"unconstrained": after, "constrained": dict.fromkeys(after, 1.0)}
+        verdict["remains"] = dict.fromkeys(after, 1.0)
     for group, block in (("", metrics), ("unseen", metrics["unseen"])):
-        lpips[group or "standard"] = [
-            round(block[shape]["lpips_alex"], 4) for shape in ("before", "unconstrained", "after")
-        ]
+        shapes = ("before", "after" if left_out else "unconstrained", "after")
+        lpips[group or "standard"] = [round(block[shape]["lpips_alex"], 4) for shape in shapes]
     kept = {views: kept_gain(*figures) for views, figures in lpips.items()}
     return {
         "asset": asset,
+        **({"left_out": left_out} if left_out else {}),
         "lpips": lpips,
         "kept_gain": {views: None if share is None else round(share, 3) for views, share in kept.items()},
         "ratio": {shape: rounded(figures) for shape, figures in verdict["ratio"].items()},

@@ -72,6 +72,8 @@ def run_refine(asset: str, config: RefineConfig, *, out: Path | None, quiet: boo
         f"{'watertight' if solid['watertight'] else 'NOT watertight'}, {solid['bodies']} body, "
         f"{solid['self_intersections']} self-intersections; {result.metrics['seconds']['total']:.0f} s"
     )
+    if reason := result.metrics.get("stress_stage_left_out"):
+        print(f"no stress stage: {reason}")
     if result.metrics["interrupted"]:
         print(f"interrupted after {result.metrics['iterations']} iterations: the part so far. Continue with --resume.")
     print(f"print {out / 'refined.3mf'}, look at {out / 'report.html'}")

@@ -41,6 +41,10 @@ WARM_UP, COOL_DOWN = 10, 0.4
 again."""
 
 
+THIN = 0.1
+"""Part of the surface under which a part may be thinner than two cells of the stress grid and have a second stage."""
+
+
 class Listener:
     """What a caller may want to hear while a refinement runs; this one hears nothing."""
 
@@ -147,7 +151,7 @@ class _Job:
         listener.say("rendering the references")
         self.judge = Judge(piece.judged_reference, piece.judged_part, piece.reference.views, config.networks)
         self.history: list[dict] = []
-        self.balance, self.fork, self.verdict = 0.0, {}, {}
+        self.balance, self.fork, self.verdict, self.left_out = 0.0, {}, {}, ""
         self.without_stress: tuple[np.ndarray, np.ndarray] | None = None
 
     def lap(self) -> float:
@@ -178,7 +182,7 @@ class _Job:
             self.restore(state, adam)
         kept, interrupted, began = self.state(first, adam), False, time.perf_counter()
         try:
-            for index, stage, values in self.steps(first, adam, config.stress):
+            for index, stage, values in self.steps(first, adam, config.stress and not self.thin()):
                 self.history.append(
                     {"iteration": index, "stage": stage, **values, "seconds": round(time.perf_counter() - began, 3)}
                 )
@@ -215,6 +219,19 @@ class _Job:
                 stress = self.stage_two()
             values = self.step(index, adam, stress)
             yield index, 1 if stress is None else 2, values
+
+    def thin(self) -> bool:
+        """Whether much of the part is too thin for the grid of the stress. What that grid loses seems free of stress,
+        so that a second stage would make thin walls thinner still."""
+        from genmf_mi.stress.distance import lost_fraction, signed_distance
+        from genmf_mi.stress.fem import Settings
+
+        surface = self.piece.vertices, self.piece.faces
+        lost = lost_fraction(*surface, signed_distance(*surface, Settings().grid))
+        if lost > THIN:
+            self.left_out = f"walls are too thin to predict their stress under {lost:.0%} of the surface"
+            self.listener.say(f"no stress stage: {self.left_out}")
+        return lost > THIN
 
     def stage_two(self) -> StressPenalty:
         """What tells how far the part's stress is above that of the initial shape."""

@@ -83,6 +83,7 @@ def conclude(
         "displacement_amplitude": job.amplitude,
         "solid": {**piece.report, **refined.report, **fabricate.check(part_mm, refined.faces)},
         **({"stress": job.verdict} if job.verdict else {}),
+        **({"stress_stage_left_out": job.left_out} if job.left_out else {}),
         "iterations": len(job.history),
         "interrupted": interrupted,
     }

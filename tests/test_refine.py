@@ -389,6 +389,14 @@ class TestStress:
         text = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
         assert "Thermal stress" in text and "Without stress stage" in text and "predicted stress, surface band" in text
 
+    def test_no_stage_for_thin_walls(self, toy, two_views, twin, monkeypatch):
+        """It says so, and gives what there is without."""
+        monkeypatch.setattr("genmf_mi.stress.distance.lost_fraction", lambda *surface: 0.2)
+        result = genmf_mi.refine(toy, self.CONFIG, scene=two_views)
+        assert Waves.looks == 0 and {line["stage"] for line in result.history} == {1}
+        assert "20%" in result.metrics["stress_stage_left_out"]
+        assert difference_mm(result, twin) < TOLERANCE_MM
+
     def test_some_shapes_alone(self, toy, two_views):
         """Nothing is simulated unasked, and without a stress stage there is nothing between before and after."""
         config = replace(CONFIG, iterations=1)
