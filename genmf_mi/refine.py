@@ -39,8 +39,6 @@ SHAPES = ("before", "unconstrained", "after")
 WARM_UP, COOL_DOWN = 10, 0.4
 """Iterations over which the step grows to its full size, and the share of all iterations over which it shrinks
 again."""
-
-
 THIN = 0.1
 """Part of the surface under which a part may be thinner than two cells of the stress grid and have a second stage."""
 
@@ -180,9 +178,10 @@ class _Job:
             state, self.history = run.load()
             first = int(state["iteration"])
             self.restore(state, adam)
+        self.left_out = self.too_thin() if config.stress else ""
         kept, interrupted, began = self.state(first, adam), False, time.perf_counter()
         try:
-            for index, stage, values in self.steps(first, adam, config.stress and not self.thin()):
+            for index, stage, values in self.steps(first, adam, config.stress and not self.left_out):
                 self.history.append(
                     {"iteration": index, "stage": stage, **values, "seconds": round(time.perf_counter() - began, 3)}
                 )
@@ -220,18 +219,19 @@ class _Job:
             values = self.step(index, adam, stress)
             yield index, 1 if stress is None else 2, values
 
-    def thin(self) -> bool:
-        """Whether much of the part is too thin for the grid of the stress. What that grid loses seems free of stress,
-        so that a second stage would make thin walls thinner still."""
+    def too_thin(self) -> str:
+        """Why there can be no second stage; empty if there can. What the grid of the stress loses seems free of stress,
+        so that thin walls would be made thinner still."""
         from genmf_mi.stress.distance import lost_fraction, signed_distance
         from genmf_mi.stress.fem import Settings
 
         surface = self.piece.vertices, self.piece.faces
         lost = lost_fraction(*surface, signed_distance(*surface, Settings().grid))
-        if lost > THIN:
-            self.left_out = f"walls are too thin to predict their stress under {lost:.0%} of the surface"
-            self.listener.say(f"no stress stage: {self.left_out}")
-        return lost > THIN
+        if lost <= THIN:
+            return ""
+        reason = f"walls are too thin to predict their stress under {lost:.0%} of the surface"
+        self.listener.say(f"no stress stage: {reason}")
+        return reason
 
     def stage_two(self) -> StressPenalty:
         """What tells how far the part's stress is above that of the initial shape."""

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
 
 from genmf_mi.stress import elasticity, heat
 from genmf_mi.stress.assembly import P1
-from genmf_mi.stress.linear import solve_spd
+from genmf_mi.stress.linear import jacobi, solve_spd
 from genmf_mi.stress.materials import material
 from genmf_mi.stress.tetrahedra import TetMesh, stuff
 
@@ -150,11 +149,6 @@ def test_transient_slab() -> None:
         errors.append(float(abs(field - exact).max()))
     assert errors[-1] < 0.06
     assert rate(errors, [20.0, 10.0, 5.0]) == pytest.approx(1.0, abs=0.1)
-
-
-def jacobi(matrix):
-    inverse = 1 / matrix.diagonal()
-    return sp.linalg.LinearOperator(matrix.shape, lambda x: inverse * x)
 
 
 def given_on_boundary(mesh: TetMesh, matrix, load: np.ndarray, exact: np.ndarray, preconditioner) -> np.ndarray:

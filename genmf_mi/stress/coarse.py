@@ -15,7 +15,7 @@ from genmf_mi.errors import SolidError
 from genmf_mi.frame import Frame
 from genmf_mi.stress import fem, sensitivity, tetrahedra
 from genmf_mi.stress.distance import sample
-from genmf_mi.stress.grid import interpolated, locate
+from genmf_mi.stress.grid import locate
 
 EDGE_MM = 2.5
 """Side of the lattice that the tetrahedra come from, on a part of 100 mm."""
@@ -60,8 +60,7 @@ class CoarseBody:
         )
         self.field = self.problem.solve()
         self.places = locate(self.mesh, phi - BEYOND_CELLS * self._cell)
-        self.stress = np.zeros(phi.shape, dtype=np.float32)
-        self.stress.reshape(-1)[self.places.sample] = interpolated(self.mesh, self.field.von_mises_nodes, self.places)
+        self.stress = self.places.to_grid(self.mesh, self.field.von_mises_nodes, phi.shape[0])
 
     @property
     def _cell(self) -> float:

@@ -114,8 +114,8 @@ class Laps:
 class Problem:
     """One body and what happens to it, with all that its adjoint needs (:mod:`genmf_mi.stress.sensitivity`).
 
-    mesh: in millimetres with z up. Once solved, it has ``cooling`` and ``equilibrium``, the two systems, ``spring [N]``
-    in N/mm, and ``excess [K+1,N]``, T − T₀ after each step of time.
+    mesh: in millimetres with z up. Once solved, it has ``cooling`` and ``equilibrium``, the two systems, and
+    ``excess [K+1,N]``, T − T₀ after each step of time.
     """
 
     def __init__(self, mesh: TetMesh, stuff: Material, protocol: Protocol) -> None:
@@ -134,10 +134,10 @@ class Problem:
         self.excess = self.cooling.run(self.ambient, tick)
         excess = self.excess[-1]
         laps("heat", 0.5)
-        self.spring = elasticity.soft_clamp(
+        spring = elasticity.soft_clamp(
             height, elements.nodal_volume(), stuff.youngs_modulus_mpa, protocol.clamp_fraction
         )
-        self.equilibrium = elasticity.Equilibrium(elements, stuff, self.spring)
+        self.equilibrium = elasticity.Equilibrium(elements, stuff, spring)
         moved, iterations = self.equilibrium.solve(elasticity.thermal_load(elements, stuff, excess))
         laps("elasticity", 0.9)
         tensor = elasticity.stress(elements, stuff, moved, excess)

@@ -17,14 +17,22 @@ _CHUNK = 4_000_000
 class Places:
     """Where samples of a grid lie in a mesh.
 
-    sample: ``[M]``, into the flattened grid; cell: ``[M]``; point: ``[M,3]``, in the frame of the mesh and in ``cell``.
+    sample: ``[M]``, into the flattened grid; cell: ``[M]``; point: ``[M,3]``, in the frame of the mesh and in ``cell``;
+    weight: ``[M,4]``, its barycentric coordinates there.
     filled: how many of the samples are in no cell and have the cell and the point of the nearest one that is.
     """
 
     sample: np.ndarray
     cell: np.ndarray
     point: np.ndarray
+    weight: np.ndarray
     filled: int
+
+    def to_grid(self, mesh: TetMesh, value: np.ndarray, n: int) -> np.ndarray:
+        """The piecewise linear field ``value [N]`` of ``mesh`` at the samples, zero elsewhere: float32 ``[n,n,n]``."""
+        field = np.zeros(n**3, dtype=np.float32)
+        field[self.sample] = (self.weight * value[mesh.cells[self.cell]]).sum(axis=1)
+        return field.reshape(n, n, n)
 
 
 def locate(mesh: TetMesh, phi: np.ndarray) -> Places:
@@ -40,6 +48,13 @@ def locate(mesh: TetMesh, phi: np.ndarray) -> Places:
     points = (mesh.points + 1.0) * scale
     gradients = P1(mesh.moved(points)).gradients
     corner = points[mesh.cells]
+
+    def weights(cell: np.ndarray, index: np.ndarray) -> np.ndarray:
+        """Barycentric coordinates ``[K,4]`` of the grid points ``index [K,3]``, each in its ``cell [K]``."""
+        weight = np.einsum("kai,ki->ka", gradients[cell], index - corner[cell, 0])
+        weight[:, 0] += 1.0
+        return weight
+
     low = np.ceil(corner.min(axis=1) - 1e-9).astype(np.int64).clip(0)
     high = np.floor(corner.max(axis=1) + 1e-9).astype(np.int64).clip(max=n - 1)
     extent = (high - low + 1).clip(0)
@@ -54,23 +69,22 @@ def locate(mesh: TetMesh, phi: np.ndarray) -> Places:
         index = low[cell] + np.stack(
             [rank // (size[:, 1] * size[:, 2]), rank // size[:, 2] % size[:, 1], rank % size[:, 2]], axis=1
         )
-        weight = np.einsum("kai,ki->ka", gradients[cell], index - corner[cell, 0])
-        weight[:, 0] += 1.0
-        inside = weight.min(axis=1) >= -1e-9
+        inside = weights(cell, index).min(axis=1) >= -1e-9
         owner[np.ravel_multi_index(tuple(index[inside].T), (n, n, n))] = cell[inside]
 
     sample = np.flatnonzero(phi <= 0)
     missing = owner < 0
     filled = int(missing[sample].sum())
     if missing.all():
-        return Places(*(np.zeros(shape, dtype=kind) for shape, kind in ((0, int), (0, int), ((0, 3), float))), filled)
+        none = np.zeros(0, dtype=int)
+        return Places(none, none, np.zeros((0, 3)), np.zeros((0, 4)), filled)
     place = np.arange(n**3)
     if filled:
         nearest = distance_transform_edt(missing.reshape(n, n, n), return_distances=False, return_indices=True)
         place = np.ravel_multi_index(tuple(nearest), (n, n, n)).reshape(-1)
     place = place[sample]
-    point = np.stack(np.unravel_index(place, (n, n, n)), axis=1) / scale - 1.0
-    return Places(sample, owner[place], point, filled)
+    index, cell = np.stack(np.unravel_index(place, (n, n, n)), axis=1), owner[place]
+    return Places(sample, cell, index / scale - 1.0, weights(cell, index), filled)
 
 
 def to_grid(mesh: TetMesh, value: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, int]:
@@ -80,15 +94,4 @@ def to_grid(mesh: TetMesh, value: np.ndarray, phi: np.ndarray) -> tuple[np.ndarr
         float32 of the shape of ``phi``, and how many inner points took a neighbour's value, see :func:`locate`.
     """
     places = locate(mesh, phi)
-    field = np.zeros(phi.size, dtype=np.float32)
-    field[places.sample] = interpolated(mesh, value, places)
-    return field.reshape(phi.shape), places.filled
-
-
-def interpolated(mesh: TetMesh, value: np.ndarray, places: Places) -> np.ndarray:
-    """The piecewise linear field ``value [N]`` at ``places``, ``[M]``."""
-    chosen = places.cell
-    offset = places.point - mesh.points[mesh.cells[chosen, 0]]
-    weight = np.einsum("kai,ki->ka", P1(mesh).gradients[chosen], offset)
-    weight[:, 0] += 1.0
-    return (weight * value[mesh.cells[chosen]]).sum(axis=1)
+    return places.to_grid(mesh, value, phi.shape[0]), places.filled

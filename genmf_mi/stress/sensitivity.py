@@ -69,9 +69,10 @@ def by_surface(problem: Problem, by_nodes: np.ndarray) -> np.ndarray:
     if inner.any():
         rows = stiffness[inner]
         own, coupling = rows[:, inner], rows[:, ~inner].T
+        preconditioner = jacobi(own)
         for axis in range(3):
             load = by_nodes[inner, axis]
-            carried, _ = solve_spd(own, load, jacobi(own), HARMONIC, what="the motion of the nodes inside")
+            carried, _ = solve_spd(own, load, preconditioner, HARMONIC, what="the motion of the nodes inside")
             result[~inner, axis] -= coupling @ carried
     return result
 
