@@ -35,7 +35,7 @@ $(READY): setup.cfg constraints.txt
 	echo "Setting up .venv with $$($$python --version); this takes a few minutes the first time"; \
 	$$python -m venv .venv
 	@$(PIP) --constraint constraints.txt $(PIP_ARGS) --editable '.[dev]'
-	@$(BIN)/python -m genmf_mi.doctor --fix
+	@$(BIN)/python -m genmf_mi doctor --fix
 	@touch $@
 
 named:

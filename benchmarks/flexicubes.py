@@ -18,7 +18,7 @@ SAMPLES, ROUNDS = 129, 5
 def main() -> None:
     import torch
 
-    from genmf_mi.geometry.flexicubes import WEIGHTS, FlexiCubes
+    from genmf_mi.sdf.flexicubes import WEIGHTS, FlexiCubes
 
     ticks = torch.linspace(-1, 1, SAMPLES)
     x, y, z = torch.meshgrid(ticks, ticks, ticks, indexing="ij")

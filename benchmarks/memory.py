@@ -11,8 +11,8 @@ ITERATIONS = 300
 
 
 def main() -> None:
-    from genmf_mi.config import PRESETS
-    from genmf_mi.refine import CHECKPOINT_EVERY, Listener, refine
+    from genmf_mi.core.config import PRESETS
+    from genmf_mi.pipeline.refinement import CHECKPOINT_EVERY, Listener, refine
 
     sizes: list[float] = []
 

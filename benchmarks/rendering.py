@@ -26,9 +26,9 @@ def main() -> None:
     import torch
     import trimesh
 
-    from genmf_mi import bridge, variant
-    from genmf_mi import scene as scenes
-    from genmf_mi.scene import View
+    from genmf_mi.render import bridge, variant
+    from genmf_mi.render import scene as scenes
+    from genmf_mi.render.scene import View
 
     variant.use("cpu")
     view, rows = View(20, 15), []
@@ -85,7 +85,7 @@ def main() -> None:
 
 
 def _stock_scene(mi, integrator: str, ply: str, ours, view, resolution: int) -> dict:
-    from genmf_mi.scene import camera_to_world
+    from genmf_mi.render.scene import camera_to_world
 
     to_world = mi.ScalarTransform4f(camera_to_world(view, ours.distance))
     lights = {

@@ -46,9 +46,9 @@ def main() -> None:
 
 def refined(path: Path, folder: Path) -> dict | None:
     """``metrics.json`` of the SDF route, made if it is not there; None if the refinement failed."""
-    from genmf_mi.asset import load
-    from genmf_mi.generators import files
-    from genmf_mi.generators.convert import convert
+    from genmf_mi.assets.asset import load
+    from genmf_mi.assets.generators import files
+    from genmf_mi.assets.generators.from_mesh import convert
 
     done, field = folder / "metrics.json", folder.with_suffix(".npz")
     if not done.exists():

@@ -18,17 +18,17 @@ from skimage.measure import marching_cubes
 from tyro.conf import Positional
 
 from benchmarks import record
-from genmf_mi.frame import Frame
-from genmf_mi.geometry.distance import MeshDistance
-from genmf_mi.geometry.mesh import Smoother, percentile
-from genmf_mi.geometry.room import STANDING
+from genmf_mi.core.frame import Frame
+from genmf_mi.geometry.displacement_bounds import STANDING
+from genmf_mi.geometry.mesh import ImplicitDiffusion, percentile
+from genmf_mi.geometry.mesh_distance import MeshDistance
 from genmf_mi.losses import stress as losses
-from genmf_mi.stress import fem
-from genmf_mi.stress.metrics import BAND
-from genmf_mi.stress.network import window
-from genmf_mi.stress.predictor import Predictor
-from genmf_mi.stress.reader import StressSamples
-from genmf_mi.stress.statistics import summary
+from genmf_mi.stress.data.reader import StressSamples
+from genmf_mi.stress.fem import simulation as fem
+from genmf_mi.stress.fem.statistics import summary
+from genmf_mi.stress.model.network import window
+from genmf_mi.stress.model.predictor import Predictor
+from genmf_mi.stress.training.metrics import BAND
 
 SMOOTHING = 30.0
 """λ of the preconditioner, as in a refinement."""
@@ -85,7 +85,7 @@ def step(phi: torch.Tensor, predictor: Predictor, step_mm: float, edge_mm: float
 
     before = band(vertices)
     before.backward()
-    smoother = Smoother(faces, len(vertices), SMOOTHING)
+    smoother = ImplicitDiffusion(faces, len(vertices), SMOOTHING)
     with torch.no_grad():
         way = -smoother(smoother(vertices.grad))
         length = way.norm(dim=1)

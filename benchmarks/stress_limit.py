@@ -18,12 +18,14 @@ from tyro.conf import Positional
 
 from benchmarks import record
 from benchmarks.stress_stage import FIVE, MEASURES
-from genmf_mi import prepare, scene, sources, variant
-from genmf_mi.config import RefineConfig
+from genmf_mi.assets import sources
+from genmf_mi.core.config import RefineConfig
 from genmf_mi.geometry.mesh import UniformAdam
-from genmf_mi.stress import verdict
+from genmf_mi.pipeline import problem as prepare
+from genmf_mi.render import scene, variant
+from genmf_mi.stress.model.predictor import Predictor
 from genmf_mi.stress.penalty import StressPenalty
-from genmf_mi.stress.predictor import Predictor
+from genmf_mi.stress.report import verification as verdict
 
 
 def main(

@@ -20,12 +20,13 @@ from skimage.measure import marching_cubes
 from tyro.conf import Positional
 
 from benchmarks import record
-from genmf_mi.memory import peak_gb
-from genmf_mi.stress import baselines, compute, metrics, weights
-from genmf_mi.stress.metrics import Predict
-from genmf_mi.stress.network import PRESETS, Architecture, StressNetwork
-from genmf_mi.stress.predictor import Predictor
-from genmf_mi.stress.reader import StressSamples
+from genmf_mi.core.memory import peak_gb
+from genmf_mi.stress.data.reader import StressSamples
+from genmf_mi.stress.model import compute, weights
+from genmf_mi.stress.model.network import PRESETS, Architecture, StressNetwork
+from genmf_mi.stress.model.predictor import Predictor
+from genmf_mi.stress.training import baselines, metrics
+from genmf_mi.stress.training.metrics import Predict
 
 FULL, USUAL = (128, 128, 128), (128, 96, 80)
 """The largest window at 129³, and about the mean one of the data set."""

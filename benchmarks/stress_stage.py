@@ -48,7 +48,7 @@ def main(
 
 
 def row(asset: str, metrics: dict) -> dict:
-    """What a table needs of one run; ``ratio`` and ``remains`` as by :func:`genmf_mi.stress.verdict.judge`."""
+    """What a table needs of one run; ``ratio`` and ``remains`` as by :func:`genmf_mi.stress.report.verification.judge`."""
 
     def rounded(figures: dict) -> dict:
         return {key: None if figures.get(key) is None else round(figures[key], 4) for key in MEASURES}

@@ -15,11 +15,12 @@ from pathlib import Path
 import tyro
 from tyro.conf import Positional
 
-from genmf_mi.errors import GenmfError
-from genmf_mi.files import write_text
-from genmf_mi.stress import fem, surface
-from genmf_mi.stress.dataset import MESHES
-from genmf_mi.stress.statistics import summary
+from genmf_mi.core.errors import GenmfError
+from genmf_mi.core.files import write_text
+from genmf_mi.stress.data.dataset import MESHES
+from genmf_mi.stress.fem import simulation as fem
+from genmf_mi.stress.fem import surface
+from genmf_mi.stress.fem.statistics import summary
 
 
 def row(path: Path, settings: fem.Settings) -> dict:

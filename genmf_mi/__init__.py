@@ -4,67 +4,42 @@
 
     result = genmf_mi.refine("bus.glb", genmf_mi.RefineConfig(size_mm=100.0))
 
-Importing the package starts neither Mitsuba nor torch: what it offers is imported at first use.
+Importing the package starts neither Mitsuba nor torch: what it offers is imported at first use. The whole public
+interface is described in ``docs/api.md``.
 """
 
 from __future__ import annotations
 
-import sys
 from importlib import import_module
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from genmf_mi.asset import load
-    from genmf_mi.config import RefineConfig
-    from genmf_mi.evaluate import evaluate
-    from genmf_mi.refine import Result, refine
+    from genmf_mi.assets.asset import Asset, load
+    from genmf_mi.assets.sdf_asset import SdfAsset
+    from genmf_mi.core.config import RefineConfig
+    from genmf_mi.pipeline.evaluation import evaluate
+    from genmf_mi.pipeline.refinement import refine
+    from genmf_mi.pipeline.results import Result
 
 __version__ = "0.1.0"
-__all__ = ["RefineConfig", "Result", "evaluate", "load", "refine"]
+__all__ = ["Asset", "RefineConfig", "Result", "SdfAsset", "evaluate", "load", "refine"]
 
-_HOME = {
-    "RefineConfig": "genmf_mi.config",
-    "Result": "genmf_mi.refine",
-    "evaluate": "genmf_mi.evaluate",
-    "load": "genmf_mi.asset",
-    "refine": "genmf_mi.refine",
+_DEFINED_IN = {
+    "Asset": "genmf_mi.assets.asset",
+    "RefineConfig": "genmf_mi.core.config",
+    "Result": "genmf_mi.pipeline.results",
+    "SdfAsset": "genmf_mi.assets.sdf_asset",
+    "evaluate": "genmf_mi.pipeline.evaluation",
+    "load": "genmf_mi.assets.asset",
+    "refine": "genmf_mi.pipeline.refinement",
 }
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME:
+    if name not in _DEFINED_IN:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module = import_module(_HOME[name])
-    return module if module.__name__ == f"{__name__}.{name}" else getattr(module, name)
+    return getattr(import_module(_DEFINED_IN[name]), name)
 
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
-
-
-class _CallableModule(ModuleType):
-    """A module that may be called like the function it is named after."""
-
-    def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        return self.__wrapped__(*args, **kwargs)
-
-    @property
-    def __wrapped__(self) -> Any:  # where `inspect.signature` looks
-        return vars(self)[self.__name__.rpartition(".")[2]]
-
-
-class _Package(ModuleType):
-    """Makes ``genmf_mi.refine`` and ``genmf_mi.evaluate``, which are modules and functions of the same name, callable.
-
-    Python sets a submodule as an attribute of its package at its first import, whoever imports it, so that a function
-    of that name would be lost.
-    """
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        if isinstance(value, ModuleType) and _HOME.get(name) == value.__name__:
-            value.__class__ = _CallableModule
-        super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Package

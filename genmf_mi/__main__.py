@@ -2,6 +2,6 @@
 
 import sys
 
-from genmf_mi.cli import main
+from genmf_mi.cli.main import main
 
 sys.exit(main())

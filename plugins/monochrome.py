@@ -44,7 +44,7 @@ class Monochrome(PSIntegrator):
 
     The shape ``sdfgrid`` can be rendered, but derivatives with respect to its
     grid are refused: Mitsuba 3.9 scales the motion of the hit point by the
-    slope of the grid's values (see :py:mod:`genmf_mi.sdf_scene`).
+    slope of the grid's values (see :py:mod:`genmf_mi.render.sdf_scene`).
 
     .. tabs::
 
@@ -115,7 +115,7 @@ class Monochrome(PSIntegrator):
                     raise Exception(
                         '"monochrome" renders the shape "sdfgrid", but Mitsuba\'s derivatives with '
                         "respect to its grid are wrong. Take them through "
-                        "genmf_mi.geometry.flexicubes, or detach the grid."
+                        "genmf_mi.sdf.flexicubes, or detach the grid."
                     )
         sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
         self.aim(scene, sensor)

@@ -56,7 +56,7 @@ def lpips_weights():
     """LPIPS networks for whole runs: the installed weights, or random ones where there are none."""
     import torch
 
-    from genmf_mi import weights
+    from genmf_mi.losses import lpips_weights as weights
     from genmf_mi.losses import perceptual
 
     if not weights.missing():
@@ -85,7 +85,7 @@ def lpips_weights():
 @pytest.fixture(scope="module")
 def two_views(tmp_path_factory) -> Path:
     """A scene file with two standard views instead of six."""
-    from genmf_mi import scene
+    from genmf_mi.render import scene
 
     text = scene.find("default").read_text()
     six = scene.read_defaults(scene.find("default"))["views"]
@@ -97,8 +97,11 @@ def two_views(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def small_refinements(lpips_weights) -> Iterator[None]:
     """Small pictures and meshes, and two of the displacements."""
-    from genmf_mi import displacement, evaluate, prepare, target
-    from genmf_mi import refine as refine_module
+    from genmf_mi.pipeline import displacement
+    from genmf_mi.pipeline import evaluation as evaluate
+    from genmf_mi.pipeline import problem as prepare
+    from genmf_mi.pipeline import refinement as refine_module
+    from genmf_mi.render import target
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(evaluate, "RESOLUTION", 64)

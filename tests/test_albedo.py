@@ -8,8 +8,8 @@ import math
 import numpy as np
 import pytest
 
-from genmf_mi.albedo import CLAMP, MIRROR, REPEAT, Albedo, Material, Texture
-from genmf_mi.colour import to_linear
+from genmf_mi.assets.albedo import CLAMP, MIRROR, REPEAT, Albedo, Material, Texture
+from genmf_mi.core.colour import to_linear
 
 
 def wrapped(index: int, size: int, rule: str) -> int:

@@ -9,10 +9,10 @@ import pytest
 import trimesh
 from PIL import Image
 
-from genmf_mi import asset
-from genmf_mi.asset import Asset
-from genmf_mi.colour import bytes_to_linear, to_linear
-from genmf_mi.errors import AssetError
+from genmf_mi.assets import asset
+from genmf_mi.assets.asset import Asset
+from genmf_mi.core.colour import bytes_to_linear, to_linear
+from genmf_mi.core.errors import AssetError
 
 TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], dtype=np.float64)
 
@@ -66,7 +66,7 @@ def test_stl_is_z_up_unless_told_otherwise(tmp_path):
 
 
 def test_sixteen_bit_and_palette_pictures(tmp_path):
-    from genmf_mi.part import pixels
+    from genmf_mi.assets.part import pixels
 
     def stored(image) -> np.ndarray:
         image.save(tmp_path / "a.png")

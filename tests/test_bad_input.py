@@ -13,8 +13,15 @@ from gltf_writer import Gltf, textured_quad
 from PIL import Image
 from toys import egg, painted
 
-from genmf_mi import cli, displacement, evaluate, fabricate, prepare, scene, solid, target, variant, weights
+from genmf_mi.cli import main as cli
+from genmf_mi.losses import lpips_weights as weights
 from genmf_mi.losses import perceptual
+from genmf_mi.mesh import solid
+from genmf_mi.pipeline import displacement
+from genmf_mi.pipeline import evaluation as evaluate
+from genmf_mi.pipeline import fabrication as fabricate
+from genmf_mi.pipeline import problem as prepare
+from genmf_mi.render import scene, target, variant
 
 pytestmark = pytest.mark.usefixtures("workplace", "lpips_weights")
 
@@ -103,7 +110,7 @@ BAD = {
     "size not a number": (lambda: toy("--size-mm", "nan"), "size-mm", "must be a finite number, not nan"),
     "cap negative": (lambda: toy("--max-relief-mm", "-0.1"), "max-relief-mm", r"cannot be negative \(-0\.1"),
     "cap too large": (lambda: toy("--max-relief-mm", "30"), "max-relief-mm 30", "lower it"),
-    "weight negative": (lambda: toy("--polarity", "-1"), "polarity cannot be -1", "0 leaves the term out"),
+    "weight negative": (lambda: toy("--gradient-sign", "-1"), "gradient-sign cannot be -1", "0 leaves the term out"),
     "too few faces": (lambda: toy("--max-faces", "12"), "max-faces", "at least 1000, not 12"),
     "output is a file": (lambda: toy("--out", file("results")), "results", "choose another --out"),
     "output below a file": (lambda: toy("--out", file("results") + "/toy"), "results/toy", "[Cc]hoose another --out"),

@@ -9,10 +9,12 @@ import trimesh
 from PIL import Image
 from scipy.ndimage import binary_erosion, gaussian_filter
 
-from genmf_mi import asset, bridge, scene, solid, variant
-from genmf_mi.errors import OutputError
-from genmf_mi.frame import Frame
-from genmf_mi.scene import View
+from genmf_mi.assets import asset
+from genmf_mi.core.errors import OutputError
+from genmf_mi.core.frame import Frame
+from genmf_mi.mesh import solid
+from genmf_mi.render import bridge, scene, variant
+from genmf_mi.render.scene import View
 
 VIEWS = (View(20, 10), View(150, -25))
 
@@ -44,7 +46,7 @@ def with_seams(folder) -> tuple[np.ndarray, np.ndarray]:
     path = folder / "seams.glb"
     path.write_bytes(mesh.export(file_type="glb"))
     loaded = asset.load(path)
-    welded = solid.solidify(loaded)
+    welded = solid.solidify(loaded.name, loaded.vertices, loaded.faces)
     assert len(welded.vertices) <= len(loaded.vertices) - rows
     return Frame.of(welded.vertices, 100.0).normalise(welded.vertices), welded.faces
 
@@ -235,7 +237,9 @@ def test_gaps_between_two_plates(tmp_path):
     part = loaded(tmp_path, bracket.vertices, bracket.faces)
     points = np.array([[-0.7, 0.2, 0.1], [-0.7, 0.2, 0.1], [-0.4, 0.2, 0.1], [-0.4, 0.2, 0.1]])
     directions = np.array([[-1.0, 0, 0], [1, 0, 0], [-1, 0, 0], [1, 0, 0]])
-    np.testing.assert_allclose(bridge.gaps(part.scene, points, directions), [np.inf, 0.3, 0.3, 0.8], rtol=1e-5)
+    np.testing.assert_allclose(
+        bridge.free_ray_distance(part.scene, points, directions), [np.inf, 0.3, 0.3, 0.8], rtol=1e-5
+    )
 
 
 def test_written_mesh_reads_back(tmp_path):

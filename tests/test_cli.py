@@ -15,8 +15,12 @@ import pytest
 from toys import painted
 
 import genmf_mi
-from genmf_mi import batch, cli, displacement, evaluate, progress, scene, target
-from genmf_mi.config import PRESETS, RefineConfig
+from genmf_mi.cli import batch, progress
+from genmf_mi.cli import main as cli
+from genmf_mi.core.config import PRESETS, RefineConfig
+from genmf_mi.pipeline import displacement
+from genmf_mi.pipeline import evaluation as evaluate
+from genmf_mi.render import scene, target
 
 HEAVY = {"mitsuba", "drjit", "torch", "pymeshlab", "matplotlib", "igl"}
 COMMANDS = ("refine", "evaluate", "batch", "sweep", "convert", "scene", "samples", "stress", "weights", "doctor")
@@ -116,8 +120,8 @@ class TestSettings:
             assert config == replace(PRESETS[preset], **{name: value})
 
     def test_weights(self, chosen):
-        _, config, _ = chosen("bus.glb", "--preset", "paper", "--grey-l1", "0.25", "--polarity", "0")
-        assert config.weights == replace(PRESETS["paper"].weights, grey_l1=0.25, polarity=0.0)
+        _, config, _ = chosen("bus.glb", "--preset", "paper", "--grey-l1", "0.25", "--gradient-sign", "0")
+        assert config.weights == replace(PRESETS["paper"].weights, grey_l1=0.25, gradient_sign=0.0)
 
     def test_everything_else(self, chosen):
         _, _, options = chosen("bus.npz", "--textured", "bus.glb", "--out", "here", "--scene", "my.xml", "--reference",

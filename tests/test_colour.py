@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from genmf_mi import colour
+from genmf_mi.core import colour
 
 
 def test_reference_values():

@@ -11,8 +11,10 @@ import trimesh
 from test_generators import of_instantmesh, write
 from toys import egg, painted
 
-from genmf_mi import asset, cli, topology
-from genmf_mi.generators import files
+from genmf_mi.assets import asset
+from genmf_mi.assets.generators import files
+from genmf_mi.cli import main as cli
+from genmf_mi.mesh import topology
 
 pytestmark = pytest.mark.usefixtures("workplace")
 

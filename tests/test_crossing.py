@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from genmf_mi import meshlab
-from genmf_mi.crossing import crossing_faces
+from genmf_mi.mesh import meshlab
+from genmf_mi.mesh.self_intersections import crossing_faces
 
 
 def sign(p, a, b, c) -> int:

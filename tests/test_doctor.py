@@ -7,9 +7,10 @@ import subprocess
 
 import pytest
 
-from genmf_mi import doctor, weights
-from genmf_mi.doctor import Check
-from genmf_mi.errors import SetupError
+from genmf_mi.cli import doctor
+from genmf_mi.cli.doctor import Check
+from genmf_mi.core.errors import SetupError
+from genmf_mi.losses import lpips_weights as weights
 
 
 @pytest.mark.parametrize(

@@ -13,10 +13,12 @@ import trimesh
 from skimage.metrics import structural_similarity
 
 import genmf_mi
-from genmf_mi import bridge, config, evaluate, scene, target, variant
-from genmf_mi.asset import Asset
-from genmf_mi.evaluate import UNSEEN_TURNS, Judge, ssim, unseen
-from genmf_mi.scene import View
+from genmf_mi.assets.asset import Asset
+from genmf_mi.core import config
+from genmf_mi.pipeline import evaluation as evaluate
+from genmf_mi.pipeline.evaluation import UNSEEN_TURNS, Evaluator, ssim, unseen
+from genmf_mi.render import bridge, scene, target, variant
+from genmf_mi.render.scene import View
 
 KEYS = {"ssim", "ssim_mask", "g_ssim", "g_ssim_mask", "lpips_alex", "lpips_mask_alex", "lpips_vgg", "lpips_mask_vgg",
         "g_lpips"}  # fmt: skip
@@ -48,7 +50,7 @@ def small():
 
 
 @pytest.fixture(scope="module")
-def judges(tmp_path_factory, small, lpips_weights) -> dict[str, Judge]:
+def judges(tmp_path_factory, small, lpips_weights) -> dict[str, Evaluator]:
     """Of the same shape in one colour, and with stripes."""
     variant.use("cpu")
     vertices, faces = ball()
@@ -59,7 +61,7 @@ def judges(tmp_path_factory, small, lpips_weights) -> dict[str, Judge]:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(target, "FINEST", 4 * len(faces))
             reference = target.make(xml, folder, vertices, faces, normals, albedo, **options)
-        made[name] = Judge(reference, scene.load(xml, folder / "part.ply", **options), VIEWS)
+        made[name] = Evaluator(reference, scene.load(xml, folder / "part.ply", **options), VIEWS)
     return made
 
 

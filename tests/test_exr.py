@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from genmf_mi import variant
-from genmf_mi.bridge import Buffers
-from genmf_mi.errors import OutputError
-from genmf_mi.exr import write_buffers
-from genmf_mi.scene import View
+from genmf_mi.core.errors import OutputError
+from genmf_mi.render import variant
+from genmf_mi.render.bridge import Buffers
+from genmf_mi.render.exr import write_buffers
+from genmf_mi.render.scene import View
 
 mi = pytest.importorskip("mitsuba")
 VIEWS = (View(0, 20), View(60, -10))

@@ -12,10 +12,11 @@ import pytest
 import trimesh
 from lxml import etree
 
-from genmf_mi import asset, fabricate
-from genmf_mi.colour import to_linear
-from genmf_mi.errors import OutputError
-from genmf_mi.frame import Frame
+from genmf_mi.assets import asset
+from genmf_mi.core.colour import to_linear
+from genmf_mi.core.errors import OutputError
+from genmf_mi.core.frame import Frame
+from genmf_mi.pipeline import fabrication as fabricate
 
 BALL = trimesh.creation.icosphere(subdivisions=3)
 

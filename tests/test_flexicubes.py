@@ -11,9 +11,10 @@ import torch
 from scipy.spatial.transform import Rotation
 from skimage.measure import marching_cubes
 
-from genmf_mi import topology as mesh
-from genmf_mi.geometry import cube_cases, dual_topology
-from genmf_mi.geometry.flexicubes import (
+from genmf_mi.mesh import topology as mesh
+from genmf_mi.mesh.nearest import barycentric
+from genmf_mi.sdf import cube_cases, dual_topology
+from genmf_mi.sdf.flexicubes import (
     ALPHA,
     BETA,
     GAMMA,
@@ -21,10 +22,9 @@ from genmf_mi.geometry.flexicubes import (
     FlexiCubes,
     bounded_deformation,
     bounded_weights,
+    flexi_weight_reg,
     sign_entropy,
-    weight_norm,
 )
-from genmf_mi.nearest import barycentric
 
 EDGES = [(0, 1), (1, 5), (4, 5), (0, 4), (2, 3), (3, 7), (6, 7), (2, 6), (0, 2), (1, 3), (5, 7), (4, 6)]
 
@@ -468,7 +468,7 @@ class TestParts:
         assert surface.deviation[row] == pytest.approx(float((distance - distance.mean()).abs().mean()))
 
     def test_regularisers(self):
-        assert weight_norm(torch.tensor([[1.0, -3.0]])) == 5
+        assert flexi_weight_reg(torch.tensor([[1.0, -3.0]])) == 5
         phi = torch.ones(3, 3, 3)
         phi[1, 1, 1] = -2.0
         shape = dual_topology.topology(phi < 0)

@@ -16,14 +16,15 @@ import trimesh
 from safetensors.numpy import save_file
 from scipy.spatial import cKDTree
 
-from genmf_mi import topology
-from genmf_mi.asset import Asset
-from genmf_mi.colour import to_linear
-from genmf_mi.errors import AssetError
-from genmf_mi.generators import files, grid, instantmesh, trellis
-from genmf_mi.generators.asset import SdfAsset
-from genmf_mi.generators.convert import convert
-from genmf_mi.geometry.flexicubes import FlexiCubes, bounded_weights
+from genmf_mi.assets.asset import Asset
+from genmf_mi.assets.generators import files, instantmesh, trellis
+from genmf_mi.assets.generators.from_mesh import convert
+from genmf_mi.assets.sdf_asset import SdfAsset
+from genmf_mi.core.colour import to_linear
+from genmf_mi.core.errors import AssetError
+from genmf_mi.mesh import topology
+from genmf_mi.sdf import grid
+from genmf_mi.sdf.flexicubes import FlexiCubes, bounded_weights
 
 HALF = np.array([0.2, 0.4, 0.3])
 NOSE = np.array([0.1, 0.2, 0.35])

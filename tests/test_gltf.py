@@ -11,9 +11,9 @@ import pytest
 import trimesh
 from gltf_writer import QUAD, QUAD_FACES, Gltf, textured_quad
 
-from genmf_mi import asset
-from genmf_mi.colour import to_linear
-from genmf_mi.errors import AssetError
+from genmf_mi.assets import asset
+from genmf_mi.core.colour import to_linear
+from genmf_mi.core.errors import AssetError
 
 RED, GREEN, BLUE, WHITE = [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]
 FOUR = (np.array([[RED, GREEN], [BLUE, WHITE]]) * 255).astype(np.uint8)

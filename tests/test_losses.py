@@ -10,12 +10,12 @@ import torch
 from scipy import ndimage
 from skimage.metrics import structural_similarity
 
-from genmf_mi.bridge import Buffers
-from genmf_mi.colour import to_srgb
-from genmf_mi.config import Weights
+from genmf_mi.core.colour import to_srgb
+from genmf_mi.core.config import Weights
 from genmf_mi.losses import appearance, geometry, objective
+from genmf_mi.render.bridge import Buffers
 
-OF_THE_GEOMETRY = {"sdf_variation", "deviation", "weight_norm"}
+OF_THE_GEOMETRY = {"sdf_tv", "l_dev", "flexi_weight_reg"}
 """Terms that a field on a grid tells of itself, whatever is rendered."""
 
 
@@ -88,14 +88,14 @@ def oracle_gradient_match(a, b, mask):
     return 0.6 * at_scale(a, b, mask) + 0.4 * at_scale(halved(a), halved(b), halved(mask))
 
 
-def oracle_polarity(a, b, mask):
+def oracle_gradient_sign(a, b, mask):
     (ax, ay), (bx, by), inside = gradients(a), gradients(b), eroded(mask)
     cosine = (ax * bx + ay * by) / np.sqrt((ax**2 + ay**2 + 1e-6) * (bx**2 + by**2 + 1e-6))
     strength = np.hypot(bx, by)
     return mean_inside(np.maximum(-cosine, 0) * strength, inside) / mean_inside(strength, inside)
 
 
-def oracle_structure(a, b, mask):
+def oracle_ssim(a, b, mask):
     maps = [structural_similarity(x[0], y[0], data_range=1.0, full=True)[1] for x, y in zip(a, b, strict=True)]
     return 1 - mean_inside(np.stack(maps)[:, None], mask)
 
@@ -127,16 +127,16 @@ def cosine(a, b):
 TERMS = {
     "grey_l1": (appearance.grey_l1, (GREY, REFERENCE),
                 lambda a, b, m: mean_inside(np.sqrt((a - b) ** 2 + 1e-6) - 1e-3, m)),
-    "structure": (appearance.structure, (GREY, REFERENCE), oracle_structure),
+    "ssim": (appearance.ssim_loss, (GREY, REFERENCE), oracle_ssim),
     "gradient_match": (appearance.gradient_match, (GREY, REFERENCE), oracle_gradient_match),
-    "polarity": (appearance.polarity, (GREY, REFERENCE), oracle_polarity),
+    "gradient_sign": (appearance.gradient_sign_penalty, (GREY, REFERENCE), oracle_gradient_sign),
     "depth_smoothness": (geometry.depth_smoothness, (DEPTH,), oracle_depth_smoothness),
     "normal_smoothness": (geometry.normal_smoothness, (NORMAL,), oracle_normal_smoothness),
     "teacher_depth": (geometry.teacher_depth, (DEPTH, TEACHER_DEPTH),
                       lambda a, b, m: mean_inside(np.abs(a - b), eroded(m))),
     "teacher_normal": (geometry.teacher_normal, (NORMAL, TEACHER_NORMAL),
                        lambda a, b, m: 1 - mean_inside(np.abs(cosine(a, b)), eroded(m))),
-    "orientation": (geometry.orientation, (NORMAL, TEACHER_NORMAL),
+    "normal_flip": (geometry.normal_flip_penalty, (NORMAL, TEACHER_NORMAL),
                     lambda a, b, m: mean_inside(np.maximum(-cosine(a, b), 0), eroded(m))),
 }  # fmt: skip
 
@@ -171,7 +171,7 @@ class TestEveryTerm:
         term, images, _ = TERMS[name]
         together = term(*tensors(*images, MASK))
         apart = [term(*tensors(*(x[i : i + 1] for x in images), MASK[i : i + 1])) for i in range(2)]
-        if name == "polarity":  # a ratio of means over the batch
+        if name == "gradient_sign":  # a ratio of means over the batch
             assert min(apart) < together < max(apart)
         else:
             assert together.item() == pytest.approx(sum(apart).item() / 2, rel=1e-9)
@@ -179,7 +179,7 @@ class TestEveryTerm:
     def test_blind_outside_of_the_mask(self, name):
         """The windows of 1 − SSIM reach 3 pixels beyond, all others stay inside."""
         term, images, _ = TERMS[name]
-        reach = 3 if name == "structure" else 0
+        reach = 3 if name == "ssim" else 0
         window = np.ones((2 * reach + 1,) * 2)
         outside = ~np.stack([ndimage.binary_dilation(m[0] > 0, window) for m in MASK])[:, None]
         others = [np.where(outside, 0.9 * x.max() - x, x) for x in images]
@@ -244,7 +244,7 @@ class TestOnScreen:
 
     def test_against_numpy(self):
         grey, reference = GREY * self.rim, REFERENCE * MASK
-        seen, target = appearance.on_screen(*tensors(grey, self.rim, reference, MASK))
+        seen, target = appearance.align_srgb(*tensors(grey, self.rim, reference, MASK))
         own, wanted = grey / np.maximum(self.rim, 1e-3), reference / np.maximum(MASK, 1e-3)
         exposure = (wanted * MASK).sum(axis=(2, 3), keepdims=True) / (own * MASK).sum(axis=(2, 3), keepdims=True)
         encoded = to_srgb(wanted).astype(np.float64)
@@ -261,13 +261,13 @@ class TestOnScreen:
     def test_exposure_costs_nothing(self):
         """Twice the light, or half, in linear light: the encoding is no straight line."""
         grey, mask, reference = tensors(GREY * MASK, MASK, REFERENCE * MASK)
-        plain, _ = appearance.on_screen(grey, mask, reference, mask)
+        plain, _ = appearance.align_srgb(grey, mask, reference, mask)
         for gain in (0.25, 1.7):
-            torch.testing.assert_close(appearance.on_screen(gain * grey, mask, reference, mask)[0], plain)
+            torch.testing.assert_close(appearance.align_srgb(gain * grey, mask, reference, mask)[0], plain)
 
     def test_itself(self):
         reference, mask = tensors(REFERENCE * MASK, MASK)
-        seen, target = appearance.on_screen(0.3 * reference, mask, reference, mask)
+        seen, target = appearance.align_srgb(0.3 * reference, mask, reference, mask)
         torch.testing.assert_close(seen, target, rtol=0, atol=1e-6)
 
     def test_black_or_empty(self):
@@ -277,7 +277,7 @@ class TestOnScreen:
         black, gone = (nothing, mask, reference, mask), (nothing, nothing, reference, mask)
         for images in (black, gone, (reference, mask, nothing, mask), (nothing, nothing, nothing, nothing)):
             part = images[0].clone().requires_grad_()
-            seen, target = appearance.on_screen(part, *images[1:])
+            seen, target = appearance.align_srgb(part, *images[1:])
             seen.square().sum().backward()
             assert seen.isfinite().all() and target.isfinite().all() and part.grad.isfinite().all()
 
@@ -285,7 +285,7 @@ class TestOnScreen:
         window = np.s_[:1, :, 8:16, 8:16]
         grey, mask, reference = tensors(GREY[window], MASK[window], REFERENCE[window])
         grey.requires_grad_()
-        assert torch.autograd.gradcheck(lambda x: appearance.on_screen(x, mask, reference, mask)[0], grey)
+        assert torch.autograd.gradcheck(lambda x: appearance.align_srgb(x, mask, reference, mask)[0], grey)
 
 
 def test_structure_is_one_minus_ssim_inside():
@@ -295,7 +295,7 @@ def test_structure_is_one_minus_ssim_inside():
     for row, column in ((3, 3), (14, 9), (SIZE - 4, SIZE - 4)):
         mask = np.zeros((1, 1, SIZE, SIZE))
         mask[0, 0, row, column] = 1
-        assert appearance.structure(*tensors(a, b, mask)).item() == pytest.approx(1 - similarity[row, column], abs=1e-9)
+        assert appearance.ssim_loss(*tensors(a, b, mask)).item() == pytest.approx(1 - similarity[row, column], abs=1e-9)
 
 
 def test_gradient_magnitude():
@@ -334,26 +334,26 @@ class TestWhatAFormulaCannotSee:
         assert appearance.gradient_match(dark, bright, mask) == pytest.approx(
             appearance.gradient_match(bright, bright, mask).item(), abs=1e-9
         )
-        assert appearance.polarity(bright, bright, mask) == 0
-        assert appearance.polarity(dark, bright, mask) > 0.9
+        assert appearance.gradient_sign_penalty(bright, bright, mask) == 0
+        assert appearance.gradient_sign_penalty(dark, bright, mask) > 0.9
 
     def test_polarity_pushes_the_right_way(self):
         """From nothing visible, a step against the gradient of the guard brightens the line."""
         bright, mask = tensors(self.line, self.mask)
         flat = (0.5 - 0.01 * (bright - 0.5)).requires_grad_()
-        appearance.polarity(flat, bright, mask).backward()
+        appearance.gradient_sign_penalty(flat, bright, mask).backward()
         assert (flat.grad * (bright - 0.5)).sum() < 0
 
     def test_flipped_normals(self):
         normal, mask = tensors(NORMAL, MASK)
         assert geometry.teacher_normal(-normal, normal, mask).item() == pytest.approx(0, abs=1e-9)
-        assert geometry.orientation(normal, normal, mask) == 0
-        assert geometry.orientation(-normal, normal, mask).item() == pytest.approx(1)
+        assert geometry.normal_flip_penalty(normal, normal, mask) == 0
+        assert geometry.normal_flip_penalty(-normal, normal, mask).item() == pytest.approx(1)
 
     def test_length_of_normals_does_not_matter(self):
         """Averages over a pixel are shorter than one."""
         normal, teacher, mask = tensors(NORMAL, TEACHER_NORMAL, MASK)
-        for term in (geometry.teacher_normal, geometry.orientation):
+        for term in (geometry.teacher_normal, geometry.normal_flip_penalty):
             torch.testing.assert_close(term(0.7 * normal, teacher, mask), term(normal, teacher, mask))
 
 
@@ -378,18 +378,18 @@ class TestObjective:
         values = objective.terms(part, reference, self.every)
         assert set(values) == set(Weights.__dataclass_fields__) - OF_THE_GEOMETRY
         mask = reference.coverage
-        images = appearance.on_screen(part.grey, part.coverage, reference.grey, mask)
+        images = appearance.align_srgb(part.grey, part.coverage, reference.grey, mask)
         expected = {
             "grey_l1": appearance.grey_l1(*images, mask),
-            "structure": appearance.structure(*images, mask),
+            "ssim": appearance.ssim_loss(*images, mask),
             "gradient": appearance.gradient_match(*images, mask),
-            "gradient_structure": appearance.structure(*map(appearance.gradient_magnitude, images), mask),
-            "polarity": appearance.polarity(*images, mask),
+            "gradient_ssim": appearance.ssim_loss(*map(appearance.gradient_magnitude, images), mask),
+            "gradient_sign": appearance.gradient_sign_penalty(*images, mask),
             "depth_smoothness": geometry.depth_smoothness(part.depth, mask),
             "normal_smoothness": geometry.normal_smoothness(part.normal, mask),
             "teacher_depth": geometry.teacher_depth(part.depth, reference.depth, mask),
             "teacher_normal": geometry.teacher_normal(part.normal, reference.normal, mask),
-            "orientation": geometry.orientation(part.normal, reference.normal, mask),
+            "normal_flip": geometry.normal_flip_penalty(part.normal, reference.normal, mask),
         }
         # The frame is cut to the object, which shifts the pixels of the half-size image by up to one
         loose = {"gradient": 0.1}
@@ -401,7 +401,7 @@ class TestObjective:
         """Those with a weight are kept as they are."""
         told = dict.fromkeys(OF_THE_GEOMETRY, torch.tensor(2.0))
         assert objective.weighted(told, self.every) == told
-        assert set(objective.weighted(told, replace(self.every, deviation=0.0))) == OF_THE_GEOMETRY - {"deviation"}
+        assert set(objective.weighted(told, replace(self.every, l_dev=0.0))) == OF_THE_GEOMETRY - {"l_dev"}
 
     def test_total(self):
         values = objective.terms(buffers(0), buffers(10), self.every)
@@ -409,18 +409,18 @@ class TestObjective:
         assert objective.total(values, self.every).item() == pytest.approx(expected, rel=1e-5)
 
     def test_no_weight_no_term(self):
-        weights = Weights(**dict.fromkeys(Weights.__dataclass_fields__, 0.0) | {"polarity": 2.0})
-        assert set(objective.terms(buffers(0), buffers(10), weights)) == {"polarity"}
+        weights = Weights(**dict.fromkeys(Weights.__dataclass_fields__, 0.0) | {"gradient_sign": 2.0})
+        assert set(objective.terms(buffers(0), buffers(10), weights)) == {"gradient_sign"}
 
     def test_without_geometry_buffers_only_the_appearance(self):
         part = Buffers(buffers(0).grey, None, None, None)
         assert set(objective.terms(part, buffers(10), self.every)) == {
             "grey_l1",
             "grey_lpips",
-            "structure",
-            "gradient_structure",
+            "ssim",
+            "gradient_ssim",
             "gradient",
-            "polarity",
+            "gradient_sign",
         }
 
     def test_gradient_reaches_every_buffer(self):

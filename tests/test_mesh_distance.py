@@ -7,12 +7,12 @@ import pytest
 import torch
 import trimesh
 
-from genmf_mi.errors import SolidError
-from genmf_mi.geometry.distance import SPARE_CELLS, MeshDistance, closest_weights
-from genmf_mi.stress import compute
-from genmf_mi.stress.distance import signed_distance
-from genmf_mi.stress.layers import REACH_CELLS
-from genmf_mi.stress.network import Architecture, StressNetwork, window
+from genmf_mi.core.errors import SolidError
+from genmf_mi.geometry.mesh_distance import SPARE_CELLS, MeshDistance, closest_weights
+from genmf_mi.sdf.distance import signed_distance
+from genmf_mi.sdf.redistance import REACH_CELLS
+from genmf_mi.stress.model import compute
+from genmf_mi.stress.model.network import Architecture, StressNetwork, window
 
 N = 33
 CELL = 2 / (N - 1)

@@ -9,11 +9,11 @@ import trimesh
 from scipy.sparse import identity
 from scipy.sparse.linalg import spsolve
 
-from genmf_mi import meshlab
-from genmf_mi.geometry.broad import broad_part, broad_smoother
-from genmf_mi.geometry.mesh import Relief, Smoother, UniformAdam, laplacian
-from genmf_mi.geometry.room import BEND, SIDEWAYS, SLIM, STANDING, base, bends, limb_width, room
-from genmf_mi.geometry.untangle import untangle
+from genmf_mi.geometry.back_off import untangle
+from genmf_mi.geometry.displacement_bounds import BEND, SIDEWAYS, SLIM, STANDING, base, bends, lateral_thickness, room
+from genmf_mi.geometry.low_pass import low_frequency, low_pass
+from genmf_mi.geometry.mesh import ImplicitDiffusion, MeshParameterization, UniformAdam, laplacian
+from genmf_mi.mesh import meshlab
 
 
 def sphere(subdivisions: int = 3, radius: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -46,7 +46,7 @@ class TestSmoother:
         vertices, faces, _ = sphere()
         u = noise(len(vertices), 3)
         matrix = (identity(len(vertices)) + smoothing * laplacian(faces, len(vertices))).tocsc()
-        smoother = Smoother(faces, len(vertices), smoothing)
+        smoother = ImplicitDiffusion(faces, len(vertices), smoothing)
         solved = smoother(torch.tensor(u, dtype=torch.float32))
         np.testing.assert_allclose(solved, spsolve(matrix, u), atol=2e-6 * np.abs(u).max())
         np.testing.assert_allclose(smoother.inverse(solved), u, atol=1e-4)
@@ -56,20 +56,22 @@ class TestSmoother:
         vertices, faces, _ = sphere()
         weight = noise(3, len(vertices))
         u = torch.zeros(len(vertices), 3, requires_grad=True)
-        (Smoother(faces, len(vertices), 30.0)(u) * torch.tensor(weight, dtype=torch.float32).T).sum().backward()
+        (
+            ImplicitDiffusion(faces, len(vertices), 30.0)(u) * torch.tensor(weight, dtype=torch.float32).T
+        ).sum().backward()
         matrix = (identity(len(vertices)) + 30 * laplacian(faces, len(vertices))).tocsc()
         np.testing.assert_allclose(u.grad, spsolve(matrix, weight.T), atol=1e-5)
 
 
-def relief(seed: int = 0, *, broad: bool = False) -> tuple[Relief, dict[str, np.ndarray]]:
+def relief(seed: int = 0, *, broad: bool = False) -> tuple[MeshParameterization, dict[str, np.ndarray]]:
     """A sphere whose vertices have room of different size, some none at all."""
     vertices, faces, normals = sphere()
     rng = np.random.default_rng(seed)
     rooms = {name: rng.uniform(0.001, 0.02, len(vertices)) for name in ("inward", "outward", "sideways")}
     for x in rooms.values():
         x[::7] = 0
-    smoother = broad_smoother(vertices, faces, 0.4) if broad else None
-    return Relief(vertices, normals, faces, *rooms.values(), smoothing=5.0, broad=smoother), rooms
+    smoother = low_pass(vertices, faces, 0.4) if broad else None
+    return MeshParameterization(vertices, normals, faces, *rooms.values(), smoothing=5.0, broad=smoother), rooms
 
 
 class TestRelief:
@@ -149,7 +151,7 @@ def test_broad_part(waves, kept):
     vertices, faces, _ = sphere(5)
     field = np.sin(waves * vertices[:, 1])
     near_equator = np.abs(vertices[:, 1]) < 0.5
-    broad = broad_part(vertices, faces, field, 0.6)
+    broad = low_frequency(vertices, faces, field, 0.6)
     share = (broad * field)[near_equator].sum() / (field**2)[near_equator].sum()
     assert kept[0] <= share <= kept[1]
 
@@ -326,7 +328,7 @@ class TestRoom:
         thin = np.argmin(size)
         central = np.delete(np.abs(vertices) / size, thin, axis=1).max(axis=1) < 0.1  # corners are narrower
         through = gap(vertices, -normals)
-        found = limb_width(vertices, normals, through, gap)[central & (np.abs(normals[:, thin]) > 0.999)]
+        found = lateral_thickness(vertices, normals, through, gap)[central & (np.abs(normals[:, thin]) > 0.999)]
         # Four directions: at worst the shortest way across is missed by an eighth of a turn
         assert (found >= width * (1 - 1e-6)).all() and (found <= width * 1.09).all()
 

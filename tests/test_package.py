@@ -22,7 +22,7 @@ def run(code: str) -> str:
     return done.stdout.strip()
 
 
-@pytest.mark.parametrize("module", ["genmf_mi", "genmf_mi.cli"])
+@pytest.mark.parametrize("module", ["genmf_mi", "genmf_mi.cli.main"])
 def test_import_starts_neither_mitsuba_nor_torch(module):
     heavy = "{'mitsuba', 'drjit', 'torch', 'pymeshlab', 'matplotlib', 'igl'}"
     assert run(f"import sys, {module}; print(sorted({heavy} & set(sys.modules)))") == "[]"
@@ -47,7 +47,7 @@ def test_function_survives_the_import_of_its_module(name, first):
 
 
 def test_a_module_named_like_its_function_can_be_called():
-    module = ModuleType("genmf_mi.refine", "Both.")
+    module = ModuleType("genmf_mi.pipeline.refinement", "Both.")
     module.refine = lambda asset, config=None: (asset, config)
     package = type(genmf_mi)("genmf_mi")
     package.refine = module
@@ -60,7 +60,7 @@ def test_everything_promised_is_there():
     for name in genmf_mi.__all__:
         assert callable(getattr(genmf_mi, name))
         assert name in dir(genmf_mi)
-    assert next(iter(inspect.signature(genmf_mi.refine).parameters)) == "asset"
+    assert next(iter(inspect.signature(genmf_mi.pipeline.refinement).parameters)) == "asset"
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = genmf_mi.nothing
 

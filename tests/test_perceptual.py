@@ -7,7 +7,7 @@ import torch
 import torch.nn.functional as F
 from skimage import data
 
-from genmf_mi import weights
+from genmf_mi.losses import lpips_weights as weights
 from genmf_mi.losses import perceptual
 from genmf_mi.losses.perceptual import features, lpips
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from genmf_mi import variant
+from genmf_mi.render import variant
 
 mi = pytest.importorskip("mitsuba")
 

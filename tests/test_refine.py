@@ -16,17 +16,19 @@ import yaml
 from PIL import Image
 
 import genmf_mi
-from genmf_mi import prepare, scene, topology, variant
-from genmf_mi.asset import Asset, load
-from genmf_mi.errors import AssetError, ConfigError, OutputError, SetupError
+from genmf_mi.assets.asset import Asset, load
+from genmf_mi.core.errors import AssetError, ConfigError, OutputError, SetupError
 from genmf_mi.geometry import mesh
-from genmf_mi.refine import Listener
-from genmf_mi.run import CHECKPOINT
-from genmf_mi.stress import verdict
-from genmf_mi.stress.fem import Settings
+from genmf_mi.mesh import topology
+from genmf_mi.pipeline import problem as prepare
+from genmf_mi.pipeline.refinement import Listener
+from genmf_mi.pipeline.run_folder import CHECKPOINT
+from genmf_mi.render import scene, variant
+from genmf_mi.stress.fem.simulation import Settings
+from genmf_mi.stress.report import verification as verdict
 
 SCORES = {"ssim", "lpips_alex", "lpips_vgg", "g_ssim", "g_lpips"}
-OF_FIELDS = {"sdf_variation", "deviation", "weight_norm"}
+OF_FIELDS = {"sdf_tv", "l_dev", "flexi_weight_reg"}
 TOLERANCE_MM = 2e-3
 """Between two runs with the same seed. Sums over faces and pixels are taken in any order, so that the last bits of the
 gradients differ, and Adam divides small gradients by their own size."""
@@ -331,7 +333,7 @@ class TestStress:
 
     @pytest.fixture(autouse=True)
     def _stub(self, monkeypatch):
-        monkeypatch.setattr("genmf_mi.stress.predictor.Predictor", Waves)
+        monkeypatch.setattr("genmf_mi.stress.model.predictor.Predictor", Waves)
         monkeypatch.setattr(verdict, "EDGE_MM", 8.0)
         monkeypatch.setattr(Waves, "looks", 0)
 
@@ -391,7 +393,7 @@ class TestStress:
 
     def test_no_stage_for_thin_walls(self, toy, two_views, twin, monkeypatch):
         """It says so, and gives what there is without."""
-        monkeypatch.setattr("genmf_mi.stress.distance.lost_fraction", lambda *surface: 0.2)
+        monkeypatch.setattr("genmf_mi.sdf.distance.lost_fraction", lambda *surface: 0.2)
         result = genmf_mi.refine(toy, self.CONFIG, scene=two_views)
         assert Waves.looks == 0 and {line["stage"] for line in result.history} == {1}
         assert "20%" in result.metrics["stress_stage_left_out"]

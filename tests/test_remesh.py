@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from genmf_mi import asset, meshlab, remesh, solid, topology
-from genmf_mi.errors import SolidError
-from genmf_mi.solid import Solid
+from genmf_mi.assets import asset
+from genmf_mi.core.errors import SolidError
+from genmf_mi.mesh import meshlab, remesh, solid, topology
+from genmf_mi.mesh.solid import Solid
 
 
 def solid_of(mesh: trimesh.Trimesh) -> Solid:
@@ -93,7 +94,8 @@ def test_what_cannot_be_meshed_within_the_budget_is_refused(monkeypatch):
 
 @pytest.mark.parametrize("name", ["hunyuan_bus", "trellis_volcano", "instantmesh_chair", "teacup"])
 def test_real_assets_gain_no_self_intersections(assets, name):
-    body = solid.solidify(asset.load(assets / f"{name}.glb"))
+    loaded = asset.load(assets / f"{name}.glb")
+    body = solid.solidify(name, loaded.vertices, loaded.faces)
     made = solid.remesh(body, 0.01)
     assert made.report["remesh"]["method"] == "isotropic"
     assert made.report["remesh"]["self_intersections"] <= body.report["self_intersections_asset"]

@@ -16,8 +16,8 @@ from lxml import html
 from PIL import Image
 from scipy.spatial import cKDTree
 
-from genmf_mi.colour import to_linear, to_srgb
-from genmf_mi.errors import OutputError
+from genmf_mi.core.colour import to_linear, to_srgb
+from genmf_mi.core.errors import OutputError
 from genmf_mi.report import Report, View, curves, packing, pictures, tables, write_before_after, write_report
 from genmf_mi.report.page import notes, render, tiles
 

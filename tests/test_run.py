@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 import yaml
 
-from genmf_mi.config import PRESETS, RefineConfig, Weights
-from genmf_mi.errors import ConfigError, OutputError
-from genmf_mi.run import CHECKPOINT, CONFIG, HISTORY, METRICS, Run
+from genmf_mi.core.config import PRESETS, RefineConfig, Weights
+from genmf_mi.core.errors import ConfigError, OutputError
+from genmf_mi.pipeline.run_folder import CHECKPOINT, CONFIG, HISTORY, METRICS, Run
 
 SETTINGS = RefineConfig(iterations=50, view_jitter=(10.0, 5.0), weights=Weights(grey_l1=0.3))
 

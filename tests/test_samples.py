@@ -10,9 +10,9 @@ import pytest
 import trimesh
 from scipy.ndimage import gaussian_filter
 
-from genmf_mi import samples
-from genmf_mi.errors import AssetError, OutputError
-from genmf_mi.samples.charts import GUTTER, Chart, assemble, cast, cube_sphere
+from genmf_mi.assets import samples
+from genmf_mi.assets.samples.charts import GUTTER, Chart, assemble, cast, cube_sphere
+from genmf_mi.core.errors import AssetError, OutputError
 
 
 @cache
@@ -122,7 +122,7 @@ def test_seam_colour_is_painted_at_the_vertex(name: str) -> None:
     """The texel under a vertex holds what ``paint`` gives for the vertex itself."""
     from importlib import import_module
 
-    module = import_module(f"genmf_mi.samples.{name}")
+    module = import_module(f"genmf_mi.assets.samples.{name}")
     charts = module.charts()
     points = np.concatenate([chart.points.reshape(-1, 3) for chart in charts])
     texel = 2 * max(np.ptp(points, axis=0)) / 512
@@ -135,7 +135,7 @@ def test_seam_colour_is_painted_at_the_vertex(name: str) -> None:
 
 
 def test_strawberry_seeds_are_brighter_than_the_rim() -> None:
-    from genmf_mi.samples import strawberry
+    from genmf_mi.assets.samples import strawberry
 
     seeds, down = strawberry._seeds()
     assert 150 < len(seeds) < 400

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from genmf_mi import bridge, samples, scene, variant
-from genmf_mi.errors import AssetError, SceneError
-from genmf_mi.scene import View
+from genmf_mi.assets import samples
+from genmf_mi.core.errors import AssetError, SceneError
+from genmf_mi.render import bridge, scene, variant
+from genmf_mi.render.scene import View
 
 FILES = sorted(Path(genmf_mi.scenes.__file__).parent.glob("*.xml"))
 BUNDLED = [path for path in FILES if not path.stem.endswith("_sdf")]

@@ -8,16 +8,17 @@ import pytest
 import torch
 from scipy.spatial import cKDTree
 
-from genmf_mi import meshlab, solid, topology
-from genmf_mi.frame import Frame
-from genmf_mi.generators.asset import SdfAsset
-from genmf_mi.generators.grid import without_specks
-from genmf_mi.geometry import flexicubes
-from genmf_mi.geometry.field import FieldDistance, slope, weights_of
-from genmf_mi.geometry.sdf import SdfGeometry
-from genmf_mi.geometry.shell import shell
-from genmf_mi.losses.sdf import deviation, total_variation
-from genmf_mi.stress.distance import signed_distance
+from genmf_mi.assets.sdf_asset import SdfAsset
+from genmf_mi.core.frame import Frame
+from genmf_mi.geometry.sdf import SdfParameterization
+from genmf_mi.geometry.sdf_distance import FieldDistance, slope, weights_of
+from genmf_mi.losses.sdf import l_dev, sdf_tv
+from genmf_mi.mesh import meshlab, topology
+from genmf_mi.mesh.manifold import is_solid
+from genmf_mi.sdf import flexicubes
+from genmf_mi.sdf.distance import signed_distance
+from genmf_mi.sdf.grid import without_specks
+from genmf_mi.sdf.shell import shell
 
 CAP = 0.06
 SAMPLES = 33
@@ -50,10 +51,10 @@ def made(asset: SdfAsset, inward=CAP, outward=CAP, *, smoothing: float = 3.0, br
     vertices = frame.normalise(vertices)
     room = [np.broadcast_to(x, len(vertices)).astype(float) for x in (inward, outward)]
     normals = topology.vertex_normals(vertices, faces)
-    return SdfGeometry(asset, frame, vertices, faces, normals, *room, smoothing=smoothing, broad=broad)
+    return SdfParameterization(asset, frame, vertices, faces, normals, *room, smoothing=smoothing, broad=broad)
 
 
-def disturbed(geometry: SdfGeometry, strength: float = 1.0, seed: int = 0) -> SdfGeometry:
+def disturbed(geometry: SdfParameterization, strength: float = 1.0, seed: int = 0) -> SdfParameterization:
     """The same with random latents, smooth in the field and free in deformation and weights."""
     generator = torch.Generator().manual_seed(seed)
     field, bend, weights = geometry.blocks
@@ -135,7 +136,7 @@ class TestBounds:
         geometry = disturbed(made(asset, *room), strength)
         before = len(meshlab.self_intersections(geometry.vertices, geometry.faces))
         done = geometry.finished(geometry.reached(), meshlab.self_intersections)
-        assert solid.is_solid(done.vertices, done.faces)
+        assert is_solid(done.vertices, done.faces)
         assert len(meshlab.self_intersections(done.vertices, done.faces)) <= before
         assert done.report["self_intersections_before"] == before
         squared, face, _ = igl.point_mesh_squared_distance(done.vertices, geometry.vertices, geometry.faces)
@@ -202,7 +203,7 @@ class TestStart:
         radius = np.linalg.norm(geometry.vertices, axis=1).mean()
         for height in (0.03, -0.03):
             vertices, faces = geometry.surface(geometry.displaced(np.full(len(geometry.vertices), height)))
-            assert solid.is_solid(vertices, faces)
+            assert is_solid(vertices, faces)
             found = np.linalg.norm(vertices, axis=1)
             assert found.mean() == pytest.approx(radius + height, abs=6e-4) and np.ptp(found) < 6e-3
 
@@ -224,7 +225,7 @@ class TestStart:
         assert not geometry.latent[geometry.blocks[1].start :].any()
 
 
-def volume(geometry: SdfGeometry, latent: torch.Tensor) -> torch.Tensor:
+def volume(geometry: SdfParameterization, latent: torch.Tensor) -> torch.Tensor:
     """Enclosed by the surface, weighted by a smooth function, as a function of the latent."""
     geometry.latent = latent
     now = geometry.moved()
@@ -259,15 +260,15 @@ class TestLosses:
             here = phi[i, j, k]
             total += abs(phi[i + 1, j, k] - here) + abs(phi[i, j + 1, k] - here) + abs(phi[i, j, k + 1] - here)
         samples = torch.tensor([np.ravel_multi_index(place, phi.shape) for place in chosen])
-        assert total_variation(torch.tensor(phi), samples, 0.5).item() == pytest.approx(total / 3 / 0.5, rel=1e-5)
+        assert sdf_tv(torch.tensor(phi), samples, 0.5).item() == pytest.approx(total / 3 / 0.5, rel=1e-5)
 
     def test_of_a_distance(self):
         """E|∂Φ| over three axes of unit vectors in all directions: 3 / 2."""
         geometry = made(ball(65))
         terms = geometry.moved().terms
-        assert terms["sdf_variation"].item() == pytest.approx(1.5, rel=0.02)
-        assert terms["weight_norm"].item() == 0
-        assert deviation(torch.tensor([0.1, 0.3]), 0.1).item() == pytest.approx(2.0)
+        assert terms["sdf_tv"].item() == pytest.approx(1.5, rel=0.02)
+        assert terms["flexi_weight_reg"].item() == 0
+        assert l_dev(torch.tensor([0.1, 0.3]), 0.1).item() == pytest.approx(2.0)
 
     def test_noise_raises_them(self):
         geometry = made(ball())

@@ -11,11 +11,11 @@ import pytest
 from scipy.ndimage import binary_erosion, map_coordinates
 from torch.nn.functional import normalize
 
-from genmf_mi import bridge, scene, sdf_scene, variant
-from genmf_mi.errors import OutputError, SceneError
-from genmf_mi.frame import Frame
-from genmf_mi.generators.asset import SdfAsset
-from genmf_mi.scene import GRID, View
+from genmf_mi.assets.sdf_asset import SdfAsset
+from genmf_mi.core.errors import OutputError, SceneError
+from genmf_mi.core.frame import Frame
+from genmf_mi.render import bridge, scene, sdf_scene, variant
+from genmf_mi.render.scene import GRID, View
 
 CENTRE, HALF = (5.0, 6.0, 7.0), 3.0
 VIEWS = (View(0, 20), View(110, -30), View(215, 60))

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from genmf_mi import asset, rebuild, repair, solid, topology
-from genmf_mi.asset import Asset
-from genmf_mi.errors import SolidError
+from genmf_mi.assets import asset
+from genmf_mi.core.errors import SolidError
+from genmf_mi.mesh import rebuild, repair, solid, topology
+from genmf_mi.mesh.manifold import is_solid
 
 BALL = trimesh.creation.icosphere(subdivisions=3)
 BOX = trimesh.creation.box()
@@ -25,7 +26,7 @@ def coarse_rebuilding(monkeypatch):
 
 def solidify(vertices, faces) -> solid.Solid:
     """The solid of a mesh, after trimesh has confirmed that it is one, also when welded by position as from an STL."""
-    made = solid.solidify(Asset.from_arrays("thing", vertices, faces))
+    made = solid.solidify("thing", np.asarray(vertices, float), np.asarray(faces))
     judged = trimesh.Trimesh(made.vertices, made.faces, process=True)
     assert judged.is_watertight
     assert judged.is_winding_consistent
@@ -187,24 +188,24 @@ def refused_sheets() -> dict[str, tuple[np.ndarray, np.ndarray]]:
 @pytest.mark.parametrize("name", refused_sheets())
 def test_sheets_are_refused_by_name(name):
     with pytest.raises(SolidError, match=f"{name} is, or has parts that are, a sheet without thickness"):
-        solid.solidify(Asset.from_arrays(name, *refused_sheets()[name]))
+        solid.solidify(name, *refused_sheets()[name])
 
 
 def test_a_bowl_is_refused_because_too_much_of_it_is_missing():
     bowl = BALL.faces[BALL.triangles_center[:, 1] < 0]
     with pytest.raises(SolidError, match=r"bowl is open: \d\d% of its surface is missing"):
-        solid.solidify(Asset.from_arrays("bowl", BALL.vertices, bowl))
+        solid.solidify("bowl", BALL.vertices, bowl)
 
 
 def test_collapsed_faces_only():
     with pytest.raises(SolidError, match="all its faces are collapsed"):
-        solid.solidify(Asset.from_arrays("line", [[0, 0, 0], [1, 0, 0], [1, 0, 0]], [[0, 1, 2]]))
+        solid.solidify("line", np.array([[0.0, 0, 0], [1, 0, 0], [1, 0, 0]]), np.array([[0, 1, 2]]))
 
 
 def test_rebuilding_keeps_a_box_within_half_a_cell():
     fine = BOX.subdivide().subdivide()
     vertices, faces, step = rebuild.rebuild(*_arrays(fine), cells=40)
-    assert solid.is_solid(vertices, faces)
+    assert is_solid(vertices, faces)
     assert topology.distance(vertices, *_arrays(fine)).max() < 0.5 * step
     assert topology.volume(vertices, faces) == pytest.approx(1, rel=0.01)
     import igl  # the skipped blocks have the sign that the winding number has there
@@ -238,7 +239,7 @@ def test_real_assets_that_are_sound_pass_quickly(assets):
     for name in ("hunyuan_bus", "instantmesh_chair", "sf3d_raccoon", "teacup"):
         found = asset.load(assets / f"{name}.glb")
         start = time.process_time()
-        made = solid.solidify(found)
+        made = solid.solidify(found.name, found.vertices, found.faces)
         assert time.process_time() - start < 3
         assert abs(len(made.faces) - len(found.faces)) < 5
         assert made.report["bodies"] == 1

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from genmf_mi.stress import fem, reference
-from genmf_mi.stress.assembly import P1
-from genmf_mi.stress.materials import material
-from genmf_mi.stress.protocol import Protocol
-from genmf_mi.stress.tetrahedra import TetMesh, stuff
+from genmf_mi.stress.fem import reference
+from genmf_mi.stress.fem import simulation as fem
+from genmf_mi.stress.fem.assembly import P1
+from genmf_mi.stress.fem.materials import material
+from genmf_mi.stress.fem.protocol import Protocol
+from genmf_mi.stress.fem.tetrahedra import TetMesh, isosurface_stuffing
 
 
 @pytest.fixture(scope="module")
@@ -18,7 +19,7 @@ def mesh() -> TetMesh:
     ticks = np.linspace(-1, 1, 33)
     x, y, z = np.meshgrid(ticks, ticks, ticks, indexing="ij")
     phi = (np.sqrt((x / 0.9) ** 2 + (y / 0.6) ** 2 + (z / 0.75) ** 2) - 1) * 0.6
-    unit = stuff(phi, 0.22)
+    unit = isosurface_stuffing(phi, 0.22)
     return unit.moved(unit.points * 33.0 + [5.0, 7.0, 30.0])
 
 

@@ -12,12 +12,15 @@ import pytest
 import scipy.sparse as sp
 import trimesh
 
-from genmf_mi import cli
-from genmf_mi.errors import AssetError, ConfigError, OutputError, SolidError
-from genmf_mi.stress import commands, elasticity, fem, output
-from genmf_mi.stress.linear import SolveError, solve_spd
-from genmf_mi.stress.materials import Material, material
-from genmf_mi.stress.protocol import Protocol
+from genmf_mi.cli import main as cli
+from genmf_mi.cli import stress as commands
+from genmf_mi.core.errors import AssetError, ConfigError, OutputError, SolidError
+from genmf_mi.stress.fem import elasticity
+from genmf_mi.stress.fem import simulation as fem
+from genmf_mi.stress.fem.linear import SolveError, solve_spd
+from genmf_mi.stress.fem.materials import Material, material
+from genmf_mi.stress.fem.protocol import Protocol
+from genmf_mi.stress.report import output
 
 COARSE = {"edge_mm": 8.0, "grid": 33, "picture": False}
 

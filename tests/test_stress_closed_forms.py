@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from genmf_mi.stress import elasticity, heat
-from genmf_mi.stress.assembly import P1
-from genmf_mi.stress.linear import jacobi, solve_spd
-from genmf_mi.stress.materials import material
-from genmf_mi.stress.tetrahedra import TetMesh, stuff
+from genmf_mi.stress.fem import elasticity, heat
+from genmf_mi.stress.fem.assembly import P1
+from genmf_mi.stress.fem.linear import jacobi, solve_spd
+from genmf_mi.stress.fem.materials import material
+from genmf_mi.stress.fem.tetrahedra import TetMesh, isosurface_stuffing
 
 PLA = material("pla")
 
@@ -42,7 +42,7 @@ def test_free_expansion_is_free_of_stress() -> None:
     """u = α ΔT x balances a uniform ΔT on any mesh, and leaves σ = 0 to round-off."""
     ticks = np.linspace(-1, 1, 25)
     x, y, z = np.meshgrid(ticks, ticks, ticks, indexing="ij")
-    mesh = stuff(np.sqrt(x**2 + (1.3 * y) ** 2 + z**2) - 0.8, 0.3)
+    mesh = isosurface_stuffing(np.sqrt(x**2 + (1.3 * y) ** 2 + z**2) - 0.8, 0.3)
     elements, excess = P1(mesh), np.full(len(mesh.points), -35.0)
     moved = PLA.expansion_per_k * -35.0 * mesh.points
     load = elements.divergence_load(PLA.thermal_modulus * excess[mesh.cells].mean(axis=1))
@@ -76,7 +76,7 @@ def hollow_sphere(edge: float) -> tuple[float, float]:
     inner, outer, film = 18.0, 45.0, 5e-6
     ticks = np.linspace(-1, 1, 97)
     r = np.sqrt(sum(c**2 for c in np.meshgrid(ticks, ticks, ticks, indexing="ij")))
-    mesh = stuff(np.maximum(r - outer / 50, inner / 50 - r), edge / 50)
+    mesh = isosurface_stuffing(np.maximum(r - outer / 50, inner / 50 - r), edge / 50)
     mesh = mesh.moved(50 * mesh.points)
 
     whole, cavity, skin = P1(mesh), P1(mesh), P1(mesh)

@@ -10,12 +10,15 @@ import pytest
 import torch
 from test_stress_training import N, ball, write_samples
 
-from genmf_mi.errors import ConfigError
-from genmf_mi.frame import Frame
-from genmf_mi.stress import coarse, compute, fem, reader, weights
-from genmf_mi.stress.coarse import coarse_stress
-from genmf_mi.stress.network import Architecture, StressNetwork, to_stress, to_target
-from genmf_mi.stress.predictor import Predictor
+from genmf_mi.core.errors import ConfigError
+from genmf_mi.core.frame import Frame
+from genmf_mi.stress.data import reader
+from genmf_mi.stress.fem import coarse
+from genmf_mi.stress.fem import simulation as fem
+from genmf_mi.stress.fem.coarse import coarse_stress
+from genmf_mi.stress.model import compute, weights
+from genmf_mi.stress.model.network import Architecture, StressNetwork, to_stress, to_target
+from genmf_mi.stress.model.predictor import Predictor
 
 CELL = 2 / (N - 1)
 EDGE_MM = 10.0

@@ -11,16 +11,18 @@ import numpy as np
 import pytest
 import trimesh
 
-from genmf_mi.errors import OutputError
-from genmf_mi.frame import HALF_EXTENT, Frame
-from genmf_mi.stress import commands, fem, picture
-from genmf_mi.stress.assembly import P1
-from genmf_mi.stress.comparison import in_layer, layer_ratio
-from genmf_mi.stress.distance import axis
-from genmf_mi.stress.grid import to_grid
-from genmf_mi.stress.materials import MATERIALS, Material, material
-from genmf_mi.stress.statistics import summary, weighted_percentiles
-from genmf_mi.stress.tetrahedra import stuff
+from genmf_mi.cli import stress as commands
+from genmf_mi.core.errors import OutputError
+from genmf_mi.core.frame import HALF_EXTENT, Frame
+from genmf_mi.sdf.distance import axis
+from genmf_mi.stress.fem import simulation as fem
+from genmf_mi.stress.fem.assembly import P1
+from genmf_mi.stress.fem.grid import to_grid
+from genmf_mi.stress.fem.materials import MATERIALS, Material, material
+from genmf_mi.stress.fem.statistics import summary, weighted_percentiles
+from genmf_mi.stress.fem.tetrahedra import isosurface_stuffing
+from genmf_mi.stress.report import picture
+from genmf_mi.stress.report.comparison import in_layer, layer_ratio
 
 COARSE = {"edge_mm": 8.0, "grid": 33, "picture": False}
 
@@ -126,7 +128,7 @@ def test_the_surface_band_is_weighted_by_volume() -> None:
     x, y, z = np.meshgrid(axis(65), axis(65), axis(65), indexing="ij")
     frame = Frame((0.0, 0.0, 0.0), HALF_EXTENT, 100.0)
     phi = (np.sqrt(x**2 + y**2 + z**2) - HALF_EXTENT).astype(np.float32)
-    mesh = stuff(phi, 3.0 / frame.mm_per_unit)
+    mesh = isosurface_stuffing(phi, 3.0 / frame.mm_per_unit)
     elements = P1(mesh.moved(frame.to_print(mesh.points)))
     depth = 50.0 - frame.mm_per_unit * np.linalg.norm(mesh.points[mesh.cells].mean(axis=1), axis=1)
     nodes = np.zeros(len(mesh.points))

@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from genmf_mi.errors import ConfigError, OutputError
-from genmf_mi.stress import codec, dataset
-from genmf_mi.stress.dataset import DatasetSettings, build, chosen, read_index
-from genmf_mi.stress.distance import axis, signed_distance
-from genmf_mi.stress.fem import Settings
-from genmf_mi.stress.reader import StressSamples, turned
-from genmf_mi.stress.recipe import recipe, surface_of
-from genmf_mi.stress.shapes import FAMILIES
+from genmf_mi.core.errors import ConfigError, OutputError
+from genmf_mi.sdf.distance import axis, signed_distance
+from genmf_mi.stress.data import codec, dataset
+from genmf_mi.stress.data.dataset import DatasetSettings, build, chosen, read_index
+from genmf_mi.stress.data.reader import StressSamples, turned
+from genmf_mi.stress.data.recipe import recipe, surface_of
+from genmf_mi.stress.data.shapes import FAMILIES
+from genmf_mi.stress.fem.simulation import Settings
 
 COARSE = Settings(grid=33, edge_mm=9.0)
 

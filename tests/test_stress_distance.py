@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from genmf_mi.errors import SolidError
-from genmf_mi.stress.distance import axis, lost_fraction, sample, signed_distance
+from genmf_mi.core.errors import SolidError
+from genmf_mi.sdf.distance import axis, lost_fraction, sample, signed_distance
 
 
 def brute_force(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from genmf_mi.errors import ConfigError
-from genmf_mi.stress import compute, layers
-from genmf_mi.stress.network import Architecture, StressNetwork, network, to_stress, to_target, window
-from genmf_mi.stress.reader import turned
+from genmf_mi.core.errors import ConfigError
+from genmf_mi.stress.data.reader import turned
+from genmf_mi.stress.model import compute, layers
+from genmf_mi.stress.model.network import Architecture, StressNetwork, network, to_stress, to_target, window
 
 TINY = Architecture(4, side=2, poolings=2, grid=33)
 
@@ -95,9 +95,9 @@ def test_geometry_turns_with_the_body(symmetry: int) -> None:
 
 def test_blocks() -> None:
     field = torch.rand(2, 3, 4, 6, 8)
-    blocks = layers.to_blocks(field, 2)
+    blocks = layers.space_to_depth(field, 2)
     assert blocks.shape == (2, 24, 2, 3, 4)
-    assert torch.equal(layers.from_blocks(blocks, 2), field)
+    assert torch.equal(layers.depth_to_space(blocks, 2), field)
     for channel, (i, j, k) in enumerate(itertools.product(range(2), repeat=3)):
         assert torch.equal(blocks[:, 8 + channel], field[:, 1, i::2, j::2, k::2])
 

@@ -9,11 +9,12 @@ import pytest
 import torch
 import trimesh
 
-from genmf_mi.geometry.distance import MeshDistance
+from genmf_mi.geometry.mesh_distance import MeshDistance
 from genmf_mi.losses import stress as losses
-from genmf_mi.stress import compute, penalty
-from genmf_mi.stress.distance import signed_distance
-from genmf_mi.stress.network import Architecture, StressNetwork, window
+from genmf_mi.sdf.distance import signed_distance
+from genmf_mi.stress import penalty
+from genmf_mi.stress.model import compute
+from genmf_mi.stress.model.network import Architecture, StressNetwork, window
 from genmf_mi.stress.penalty import StressPenalty
 
 N = 33

@@ -11,15 +11,16 @@ import pytest
 import torch
 import trimesh
 
-from genmf_mi.cli import main
-from genmf_mi.errors import SolidError
-from genmf_mi.stress import commands, domain, predictor, weights
-from genmf_mi.stress.distance import signed_distance
-from genmf_mi.stress.fem import Settings
-from genmf_mi.stress.network import Architecture, StressNetwork, window
-from genmf_mi.stress.predictor import Predictor, summary
-from genmf_mi.stress.reader import rebuilt
-from genmf_mi.stress.weights import WeightsError
+from genmf_mi.cli import stress as commands
+from genmf_mi.cli.main import main
+from genmf_mi.core.errors import SolidError
+from genmf_mi.sdf.distance import signed_distance
+from genmf_mi.sdf.redistance import redistance
+from genmf_mi.stress.fem.simulation import Settings
+from genmf_mi.stress.model import domain, predictor, weights
+from genmf_mi.stress.model.network import Architecture, StressNetwork, window
+from genmf_mi.stress.model.predictor import Predictor, summary
+from genmf_mi.stress.model.weights import WeightsError
 
 N = 33
 SETTINGS = Settings(grid=N, edge_mm=6.0, size_mm=80.0)
@@ -57,7 +58,7 @@ def test_one_call_is_the_network_on_the_distance(file: Path) -> None:
     phi = signed_distance(frame.normalise(mesh.vertices), mesh.faces, N)
     assert (prediction.phi == phi).all()
     net, _ = weights.load(file)
-    seen = torch.from_numpy(rebuilt(phi))[None]
+    seen = torch.from_numpy(redistance(phi))[None]
     box = window(seen)
     with torch.no_grad():
         raw = 3 * torch.expm1(net(seen[:, *box][None]))[0, 0].clamp_min(0).numpy()
@@ -127,7 +128,7 @@ def test_bad_input(file: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
 
 def test_the_network_of_the_package() -> None:
     """A shape that no training ever saw, against the solver on a finer mesh than the network is given."""
-    from genmf_mi.stress import fem
+    from genmf_mi.stress.fem import simulation as fem
 
     judge, stone = Predictor(), trimesh.creation.icosphere(subdivisions=4)
     x, y, z = stone.vertices.T
@@ -164,7 +165,7 @@ def test_command_writes_its_files(file: Path, tmp_path: Path, capsys: pytest.Cap
 
 
 def test_a_prediction_can_be_drawn(file: Path) -> None:
-    from genmf_mi.stress.picture import surface_field
+    from genmf_mi.stress.report.picture import surface_field
 
     prediction = Predictor(file).predict(ball().vertices, ball().faces)
     vertices, faces, value = surface_field(prediction)

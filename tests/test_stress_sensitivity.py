@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from genmf_mi.stress import fem
-from genmf_mi.stress.grid import locate
-from genmf_mi.stress.sensitivity import by_nodes, by_surface
-from genmf_mi.stress.tetrahedra import TetMesh, stuff
+from genmf_mi.stress.fem import simulation as fem
+from genmf_mi.stress.fem.grid import locate_points
+from genmf_mi.stress.fem.sensitivity import by_nodes, by_surface
+from genmf_mi.stress.fem.tetrahedra import TetMesh, isosurface_stuffing
 
 PLA = fem.material("pla")
 SLOW = replace(fem.Protocol(), clamp_fraction=0.1)
@@ -23,7 +23,7 @@ def body() -> tuple[TetMesh, np.ndarray]:
     ticks = np.linspace(-1, 1, 33)
     x, y, z = np.meshgrid(ticks, ticks, ticks, indexing="ij")
     phi = np.sqrt((x * (1 + 0.2 * z)) ** 2 + (1.3 * y) ** 2 + z**2) - 0.85 + 0.06 * np.sin(4 * x + 2 * y)
-    return stuff(phi, 0.3), phi
+    return isosurface_stuffing(phi, 0.3), phi
 
 
 class Case:
@@ -31,13 +31,13 @@ class Case:
 
     def __init__(self, mesh: TetMesh, phi: np.ndarray) -> None:
         self.mesh = mesh.moved(50 * mesh.points)
-        self.places = locate(mesh, phi)
+        self.places = locate_points(mesh, phi)
         self.point = 50 * self.places.point
         self.weight = np.random.default_rng(0).uniform(0, 1, len(self.point)) / len(self.point)
 
     def solved(self, points: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> tuple[fem.Problem, fem.Field]:
-        monkeypatch.setattr("genmf_mi.stress.elasticity.TOLERANCE", 1e-11)
-        monkeypatch.setattr("genmf_mi.stress.heat.TOLERANCE", 1e-12)
+        monkeypatch.setattr("genmf_mi.stress.fem.elasticity.TOLERANCE", 1e-11)
+        monkeypatch.setattr("genmf_mi.stress.fem.heat.TOLERANCE", 1e-12)
         problem = fem.Problem(self.mesh.moved(points), PLA, SLOW)
         return problem, problem.solve()
 

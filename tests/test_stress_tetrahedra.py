@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from genmf_mi.errors import SolidError
-from genmf_mi.stress import tetrahedra
-from genmf_mi.stress.distance import axis, signed_distance
-from genmf_mi.stress.tetrahedra import TetMesh, largest_body, stuff
+from genmf_mi.core.errors import SolidError
+from genmf_mi.sdf.distance import axis, signed_distance
+from genmf_mi.stress.fem import tetrahedra
+from genmf_mi.stress.fem.tetrahedra import TetMesh, isosurface_stuffing, largest_body
 
 
 def shapes() -> dict[str, np.ndarray]:
@@ -40,7 +40,7 @@ def dihedral_angles(mesh: TetMesh) -> np.ndarray:
 @pytest.mark.parametrize("name", ["ball", "torus", "block", "rough"])
 @pytest.mark.parametrize("edge", [0.09, 0.137])
 def test_mesh_is_sound(name: str, edge: float) -> None:
-    mesh = stuff(shapes()[name], edge)
+    mesh = isosurface_stuffing(shapes()[name], edge)
     assert (mesh.volumes > 0).all()
     angles = dihedral_angles(mesh)
     assert angles.min() > 10.78 and angles.max() < 164.74, "the bounds proved by Labelle & Shewchuk, table 1"
@@ -52,9 +52,9 @@ def test_mesh_is_sound(name: str, edge: float) -> None:
 
 
 def test_volumes() -> None:
-    ball = stuff(shapes()["ball"], 0.08).volumes.sum()
+    ball = isosurface_stuffing(shapes()["ball"], 0.08).volumes.sum()
     assert ball == pytest.approx(4 / 3 * np.pi * 0.83**3, rel=0.01)
-    assert stuff(shapes()["block"], 0.08).volumes.sum() == pytest.approx(1.9 * 1.1 * 0.7, rel=0.02)
+    assert isosurface_stuffing(shapes()["block"], 0.08).volumes.sum() == pytest.approx(1.9 * 1.1 * 0.7, rel=0.02)
 
 
 def test_volume_is_lost_to_flat_facets_alone() -> None:
@@ -63,7 +63,7 @@ def test_volume_is_lost_to_flat_facets_alone() -> None:
     x, y, z = np.meshgrid(ticks, ticks, ticks, indexing="ij")
     ball = np.sqrt(x**2 + y**2 + z**2) - 0.5
     exact = 4 / 3 * np.pi * 0.5**3
-    coarse, fine = (1 - stuff(ball, edge).volumes.sum() / exact for edge in (0.16, 0.08))
+    coarse, fine = (1 - isosurface_stuffing(ball, edge).volumes.sum() / exact for edge in (0.16, 0.08))
     assert 0 < fine < coarse < 0.1
     assert np.log2(coarse / fine) == pytest.approx(2.0, abs=0.3)
 
@@ -72,7 +72,7 @@ def test_loose_parts_are_left_out() -> None:
     ticks = axis(49)
     x, y, z = np.meshgrid(ticks, ticks, ticks, indexing="ij")
     two = np.minimum(np.sqrt((x + 0.4) ** 2 + y**2 + z**2) - 0.45, np.sqrt((x - 0.6) ** 2 + y**2 + z**2) - 0.2)
-    mesh, rest = largest_body(stuff(two, 0.1))
+    mesh, rest = largest_body(isosurface_stuffing(two, 0.1))
     assert len(rest) == 1 and rest[0] == pytest.approx(4 / 3 * np.pi * 0.2**3, rel=0.1)
     assert mesh.points[:, 0].max() < 0.2
 
@@ -87,9 +87,9 @@ def test_parts_that_share_an_edge_only_are_separate() -> None:
 def test_refusals(tmp_path: Path) -> None:
     phi = shapes()["ball"]
     with pytest.raises(SolidError, match="not numbers"):
-        stuff(np.where(phi > 0.5, np.nan, phi), 0.1)
+        isosurface_stuffing(np.where(phi > 0.5, np.nan, phi), 0.1)
     with pytest.raises(SolidError, match="nothing is inside"):
-        stuff(abs(phi) + 0.1, 0.1)
+        isosurface_stuffing(abs(phi) + 0.1, 0.1)
     (tmp_path / "broken.vtu").write_text("<VTKFile>")
     with pytest.raises(SolidError, match="cannot read"):
         tetrahedra.read(tmp_path / "broken.vtu")
@@ -98,7 +98,7 @@ def test_refusals(tmp_path: Path) -> None:
 def test_reading_a_volume_mesh(tmp_path: Path) -> None:
     import meshio
 
-    mesh = stuff(shapes()["torus"], 0.15)
+    mesh = isosurface_stuffing(shapes()["torus"], 0.15)
     flipped = mesh.cells.copy()
     flipped[::2] = flipped[::2][:, [0, 2, 1, 3]]
     meshio.Mesh(mesh.points, [("tetra", flipped)]).write(tmp_path / "torus.vtu")

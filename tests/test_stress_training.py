@@ -11,16 +11,19 @@ import pytest
 import torch
 import trimesh
 
-from genmf_mi.errors import ConfigError, OutputError
-from genmf_mi.stress import baselines, codec, curves, metrics, network, reader, training, weights
-from genmf_mi.stress.dataset import FORMAT
-from genmf_mi.stress.distance import signed_distance
-from genmf_mi.stress.fem import Settings
-from genmf_mi.stress.network import Architecture, to_stress
-from genmf_mi.stress.reader import StressSamples, rebuilt
-from genmf_mi.stress.train_config import TrainConfig
-from genmf_mi.stress.training import Watcher
-from genmf_mi.stress.weights import WeightsError
+from genmf_mi.core.errors import ConfigError, OutputError
+from genmf_mi.sdf.distance import signed_distance
+from genmf_mi.stress.data import codec, reader
+from genmf_mi.stress.data.dataset import FORMAT
+from genmf_mi.sdf.redistance import redistance
+from genmf_mi.stress.data.reader import StressSamples
+from genmf_mi.stress.fem.simulation import Settings
+from genmf_mi.stress.model import network, weights
+from genmf_mi.stress.model.network import Architecture, to_stress
+from genmf_mi.stress.model.weights import WeightsError
+from genmf_mi.stress.training import baselines, curves, metrics, training
+from genmf_mi.stress.training.config import TrainConfig
+from genmf_mi.stress.training.training import Watcher
 
 N = 33
 TINY = Architecture(4, side=2, poolings=2)
@@ -131,7 +134,7 @@ def test_distance_as_it_was_before_it_was_stored(stretch: tuple[float, float, fl
     mesh = trimesh.creation.icosphere(subdivisions=3)
     vertices, cell = mesh.vertices * stretch, 2 / 64
     _, stored = codec.pack_distance(signed_distance(vertices, mesh.faces, 65))
-    again = rebuilt(stored)
+    again = redistance(stored)
     seen = stored < 4 * cell
     squared, _, _ = igl.point_mesh_squared_distance(np.argwhere(seen) * cell - 1, vertices, mesh.faces.astype(np.int64))
     before, after = (abs(abs(field[seen]) - np.sqrt(squared)) / cell for field in (stored.astype(np.float32), again))
@@ -145,7 +148,7 @@ def test_distance_as_it_was_before_it_was_stored(stretch: tuple[float, float, fl
 def test_a_wall_thinner_than_the_band() -> None:
     plate = trimesh.creation.box((1.8, 0.1, 1.8))
     exact = signed_distance(plate.vertices, plate.faces, 65)
-    again = rebuilt(codec.pack_distance(exact)[1])
+    again = redistance(codec.pack_distance(exact)[1])
     assert abs(again - exact)[exact < 4 * 2 / 64].max() < 0.7 * 2 / 64
 
 
@@ -339,8 +342,8 @@ def test_bad_weights(saved: tuple[Path, str], tmp_path: Path) -> None:
         weights.load(path, sha256="0" * 64)
     with pytest.raises(WeightsError, match="not 'paper'"):
         weights.load(path, preset="paper", sha256=digest)
-    hot = asdict(Settings(grid=N, protocol=replace(Settings().protocol, film_w_m2k=10.0)))
-    with pytest.raises(WeightsError, match="film_w_m2k"):
+    hot = asdict(Settings(grid=N, protocol=replace(Settings().protocol, heat_transfer_coefficient_w_m2k=10.0)))
+    with pytest.raises(WeightsError, match="heat_transfer_coefficient_w_m2k"):
         weights.load(path, simulation=hot)
     with pytest.raises(WeightsError, match="material"):
         weights.load(path, simulation=asdict(Settings(grid=N, material="abs")))
@@ -371,7 +374,7 @@ def test_weights_that_do_not_fit_their_description(saved: tuple[Path, str]) -> N
 
 
 def test_command(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from genmf_mi.cli import main
+    from genmf_mi.cli.main import main
 
     command = ["stress", "train", "--data", str(data), "--out", str(tmp_path / "out"), "--cache", str(tmp_path / "c")]
     assert main([*command, "--steps", "2", "--validate-every", "2", "--precision", "float32"]) == 0
@@ -381,7 +384,7 @@ def test_command(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str])
 
 
 def test_stress_of_a_prediction_is_not_negative(data: Path) -> None:
-    from genmf_mi.stress import compute
+    from genmf_mi.stress.model import compute
 
     torch.manual_seed(3)
     net = network.network("compact", N)

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from genmf_mi.errors import SolidError
-from genmf_mi.frame import Frame
-from genmf_mi.stress import fem, statistics, verdict
-from genmf_mi.stress.comparison import ratios
-from genmf_mi.stress.distance import signed_distance
+from genmf_mi.core.errors import SolidError
+from genmf_mi.core.frame import Frame
+from genmf_mi.sdf.distance import signed_distance
+from genmf_mi.stress.fem import simulation as fem
+from genmf_mi.stress.fem import statistics
+from genmf_mi.stress.report import verification as verdict
+from genmf_mi.stress.report.comparison import ratios
 
 
 @pytest.fixture(autouse=True)

@@ -12,11 +12,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from genmf_mi import cli, progress, sweep
-from genmf_mi.config import PRESETS, RefineConfig
-from genmf_mi.errors import ConfigError
+from genmf_mi.cli import main as cli
+from genmf_mi.cli import progress
+from genmf_mi.core.config import PRESETS, RefineConfig
+from genmf_mi.core.errors import ConfigError
+from genmf_mi.pipeline import sweep
+from genmf_mi.pipeline.run_folder import CHECKPOINT, Run
 from genmf_mi.report import tables
-from genmf_mi.run import CHECKPOINT, Run
 
 pytestmark = pytest.mark.usefixtures("workplace")
 

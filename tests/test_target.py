@@ -10,12 +10,14 @@ import torch
 import trimesh
 from PIL import Image
 
-from genmf_mi import bridge, evaluate, prepare, scene, target, variant
-from genmf_mi.asset import Asset
-from genmf_mi.colour import to_linear
-from genmf_mi.config import RefineConfig
-from genmf_mi.errors import AssetError, ConfigError
-from genmf_mi.scene import View
+from genmf_mi.assets.asset import Asset
+from genmf_mi.core.colour import to_linear
+from genmf_mi.core.config import RefineConfig
+from genmf_mi.core.errors import AssetError, ConfigError
+from genmf_mi.pipeline import evaluation as evaluate
+from genmf_mi.pipeline import problem as prepare
+from genmf_mi.render import bridge, scene, target, variant
+from genmf_mi.render.scene import View
 
 VIEWS = (View(10, 20), View(200, -30))
 
@@ -224,7 +226,7 @@ class TestReferenceFromPictures:
         assert grey[32, 16] > 0.95 and grey[32, 48] < 0.3
 
     def test_a_bad_picture_is_refused_before_the_work(self, tmp_path, monkeypatch):
-        from genmf_mi import solid
+        from genmf_mi.mesh import solid
 
         monkeypatch.setattr(solid, "solidify", lambda asset: pytest.fail("the pictures should have been read before"))
         with pytest.raises(AssetError, match="cannot read"):

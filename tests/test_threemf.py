@@ -10,9 +10,9 @@ import pytest
 import trimesh
 from PIL import Image
 
-from genmf_mi import asset
-from genmf_mi.colour import to_linear
-from genmf_mi.errors import AssetError
+from genmf_mi.assets import asset
+from genmf_mi.core.colour import to_linear
+from genmf_mi.core.errors import AssetError
 
 
 class Builder:

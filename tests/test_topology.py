@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from genmf_mi import topology
+from genmf_mi.mesh import topology
 
 BOX = trimesh.creation.box()
 BALL = trimesh.creation.icosphere(subdivisions=2)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from genmf_mi import asset
-from genmf_mi.colour import to_linear
-from genmf_mi.errors import AssetError
+from genmf_mi.assets import asset
+from genmf_mi.core.colour import to_linear
+from genmf_mi.core.errors import AssetError
 
 SQUARE = """
 v 0 0 0

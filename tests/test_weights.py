@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import torch
 
-from genmf_mi import weights
-from genmf_mi.errors import SetupError
+from genmf_mi.core.errors import SetupError
+from genmf_mi.losses import lpips_weights as weights
 
 NAMES = {"alex": ("alexnet.ckpt", "AlexNet_0"), "vgg": ("vgg16.ckpt", "VGG16_0")}
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 from benchmarks.record import FOLDER
-from genmf_mi.files import write_text
+from genmf_mi.core.files import write_text
 
 
 def record(name: str, results: dict) -> None:

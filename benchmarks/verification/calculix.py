@@ -16,11 +16,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import verification
-from genmf_mi.stress import fem, surface, tetrahedra
-from genmf_mi.stress.distance import signed_distance
-from genmf_mi.stress.elasticity import soft_clamp, von_mises
-from genmf_mi.stress.materials import material
-from genmf_mi.stress.protocol import Protocol
+from genmf_mi.sdf.distance import signed_distance
+from genmf_mi.stress.fem import simulation as fem
+from genmf_mi.stress.fem import surface, tetrahedra
+from genmf_mi.stress.fem.elasticity import soft_clamp, von_mises
+from genmf_mi.stress.fem.materials import material
+from genmf_mi.stress.fem.protocol import Protocol
 
 _FACES = {"1": [0, 1, 2], "2": [0, 1, 3], "3": [1, 2, 3], "4": [0, 2, 3]}
 """Corners of the faces of C3D4 in CalculiX's numbering."""
@@ -61,7 +62,7 @@ def deck(field: fem.Field, stuff, protocol: Protocol) -> str:
     ]  # fmt: skip
     for label, corners in _FACES.items():
         hit = np.flatnonzero(np.isin(key(mesh.cells[:, corners]), outer))
-        lines += [f"{i + 1},F{label},1.,{protocol.film_w_m2k * 1e-3}" for i in hit]
+        lines += [f"{i + 1},F{label},1.,{protocol.heat_transfer_coefficient_w_m2k * 1e-3}" for i in hit]
     lines += [f"*NODE PRINT,NSET=NALL,FREQUENCY={protocol.steps}", "U,NT"]
     lines += [f"*EL PRINT,ELSET=EALL,FREQUENCY={protocol.steps}", "S", "*END STEP", ""]
     return "\n".join(lines)
@@ -85,7 +86,7 @@ def compare(name: str, vertices, faces, edge_mm: float) -> dict:
     stuff, protocol = material("pla"), PROTOCOL
     frame = fem.frame_of(vertices, 100.0)
     phi = signed_distance(frame.normalise(vertices), faces, 129)
-    mesh, _ = tetrahedra.largest_body(tetrahedra.stuff(phi, edge_mm / frame.mm_per_unit))
+    mesh, _ = tetrahedra.largest_body(tetrahedra.isosurface_stuffing(phi, edge_mm / frame.mm_per_unit))
     mesh = mesh.moved(frame.to_print(mesh.points))
     started = time.process_time()
     ours = fem.solve(mesh, stuff, protocol)

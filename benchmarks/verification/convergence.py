@@ -13,9 +13,10 @@ import sys
 from pathlib import Path
 
 from benchmarks import verification
-from genmf_mi.stress import fem, reference, surface
-from genmf_mi.stress.materials import material
-from genmf_mi.stress.statistics import summary
+from genmf_mi.stress.fem import reference, surface
+from genmf_mi.stress.fem import simulation as fem
+from genmf_mi.stress.fem.materials import material
+from genmf_mi.stress.fem.statistics import summary
 
 EDGES_MM = (4.0, 2.5, 1.6, 1.2)
 QUADRATIC_UP_TO = 12_000

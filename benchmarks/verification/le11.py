@@ -9,11 +9,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from benchmarks import verification
-from genmf_mi.stress.elasticity import multigrid
-from genmf_mi.stress.linear import solve_spd
-from genmf_mi.stress.materials import Material
-from genmf_mi.stress.reference import Forms
-from genmf_mi.stress.tetrahedra import TetMesh
+from genmf_mi.stress.fem.elasticity import multigrid
+from genmf_mi.stress.fem.linear import solve_spd
+from genmf_mi.stress.fem.materials import Material
+from genmf_mi.stress.fem.reference import Forms
+from genmf_mi.stress.fem.tetrahedra import TetMesh
 
 STEEL = Material("le11", 210e3, 0.3, 2.3e-4, 1.0, 1.0, 1.0, 0.0)
 TARGET_MPA = -105.0

@@ -20,11 +20,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks import verification
-from genmf_mi.frame import HALF_EXTENT, Frame
-from genmf_mi.stress import fem
-from genmf_mi.stress.comparison import in_layer
-from genmf_mi.stress.distance import axis, sample, signed_distance
-from genmf_mi.stress.statistics import SURFACE_BAND_MM, summary, weighted_percentiles
+from genmf_mi.core.frame import HALF_EXTENT, Frame
+from genmf_mi.sdf.distance import axis, sample, signed_distance
+from genmf_mi.stress.fem import simulation as fem
+from genmf_mi.stress.fem.statistics import SURFACE_BAND_MM, summary, weighted_percentiles
+from genmf_mi.stress.report.comparison import in_layer
 
 RADIUS_MM = 50.0
 COVERED_DEGREES, JUDGED_DEGREES = 60.0, 45.0

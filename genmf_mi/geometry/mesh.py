@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from genmf_mi.geometry.movable import Crossings, Finished, Moved
-from genmf_mi.geometry.untangle import untangle
+from genmf_mi.geometry.back_off import untangle
+from genmf_mi.geometry.parameterization import Crossings, Geometry, RefinedSurface
 
 if TYPE_CHECKING:
     from torch import Tensor
 
 
-class Relief:
-    """Offsets from a fixed surface, a :class:`genmf_mi.geometry.movable.Movable`.
+class MeshParameterization:
+    """Offsets from a fixed surface, a :class:`genmf_mi.geometry.parameterization.Parameterization`.
 
     base: ``[V,3]`` initial vertices, normalised frame. normals: ``[V,3]`` unit. faces: ``[F,3]``.
     inward, outward: ``[V]`` room along the normal, normalised units, not negative; a vertex with neither is pinned.
@@ -43,7 +43,7 @@ class Relief:
         sideways: np.ndarray,
         *,
         smoothing: float,
-        broad: Smoother | None = None,
+        broad: ImplicitDiffusion | None = None,
         device: str = "cpu",
     ) -> None:
         import torch
@@ -57,7 +57,7 @@ class Relief:
         self.inward, self.outward, self.sideways = (
             tensor(x)[:, None].clamp_min(1e-9) for x in (inward, outward, sideways)
         )
-        self.solve, self.broad = Smoother(faces, len(base), smoothing, device), broad
+        self.solve, self.broad = ImplicitDiffusion(faces, len(base), smoothing, device), broad
         self.latent = torch.zeros(len(base), 3, device=device, requires_grad=True)
 
     def offsets(self) -> Tensor:
@@ -81,14 +81,14 @@ class Relief:
         """``[V,3]`` in the normalised frame."""
         return self.base + self.offsets()
 
-    def moved(self) -> Moved:
+    def moved(self) -> Geometry:
         """The vertices; the faces stay."""
         vertices = self.vertices()
-        return Moved(vertices, None, vertices, {})
+        return Geometry(vertices, None, vertices, {})
 
     def distance(self, samples: int) -> Callable[[Tensor], Tensor]:
-        """See :class:`genmf_mi.geometry.distance.MeshDistance`."""
-        from genmf_mi.geometry.distance import MeshDistance
+        """See :class:`genmf_mi.geometry.mesh_distance.MeshDistance`."""
+        from genmf_mi.geometry.mesh_distance import MeshDistance
 
         return MeshDistance(self.faces, samples, every=1)
 
@@ -104,11 +104,11 @@ class Relief:
         """Vertices ``[V,3]`` and faces ``[F,3]``."""
         return self.exact[0] + reached, self.faces
 
-    def finished(self, reached: np.ndarray, crossings: Crossings) -> Finished:
-        """See :func:`genmf_mi.geometry.untangle.untangle`."""
+    def finished(self, reached: np.ndarray, crossings: Crossings) -> RefinedSurface:
+        """See :func:`genmf_mi.geometry.back_off.untangle`."""
         base, normals = self.exact
         offsets, report = untangle(base, self.faces, reached, crossings)
-        return Finished(base + offsets, self.faces, base, normals, report)
+        return RefinedSurface(base + offsets, self.faces, base, normals, report)
 
     def start_from(self, heights: np.ndarray) -> None:
         """Make :meth:`offsets` ``heights [V]`` along the normals, up to 0.98 of the room."""
@@ -121,7 +121,7 @@ class Relief:
             self.latent.copy_(self.solve.inverse(x * self.normals))
 
 
-class Smoother:
+class ImplicitDiffusion:
     """x = (I + λL)⁻¹ u, differentiable, factorised once by cholespy, on the CPU or the GPU."""
 
     def __init__(self, faces: np.ndarray, count: int, smoothing: float, device: str = "cpu") -> None:

@@ -18,22 +18,22 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from genmf_mi.generators.grid import SPECK, without_specks
-from genmf_mi.geometry.broad import broad_smoother
-from genmf_mi.geometry.field import FieldDistance, slope, weights_of
-from genmf_mi.geometry.flexicubes import WEIGHTS, FlexiCubes, weight_norm
-from genmf_mi.geometry.mesh import Smoother
-from genmf_mi.geometry.movable import Crossings, Finished, Moved
-from genmf_mi.geometry.shell import shell
+from genmf_mi.geometry.low_pass import low_pass
+from genmf_mi.geometry.mesh import ImplicitDiffusion
+from genmf_mi.geometry.parameterization import Crossings, Geometry, RefinedSurface
+from genmf_mi.geometry.sdf_distance import FieldDistance, slope, weights_of
 from genmf_mi.losses import sdf as losses
-from genmf_mi.nearest import Nearest, barycentric
+from genmf_mi.mesh.nearest import Nearest, barycentric
+from genmf_mi.sdf.flexicubes import WEIGHTS, FlexiCubes, flexi_weight_reg
+from genmf_mi.sdf.grid import SPECK, without_specks
+from genmf_mi.sdf.shell import shell
 
 if TYPE_CHECKING:
-    from genmf_mi.frame import Frame
-    from genmf_mi.generators.asset import SdfAsset
+    from genmf_mi.assets.sdf_asset import SdfAsset
+    from genmf_mi.core.frame import Frame
 
 DEFORMATION_RATE, WEIGHTS_RATE = 4.0, 4.0
-"""Steps on the latent numbers of the deformation (in the end; see :meth:`SdfGeometry.rates`) and of the weights, which
+"""Steps on the latent numbers of the deformation (in the end; see :meth:`SdfParameterization.rates`) and of the weights, which
 have no unit, as multiples of the learning rate."""
 FREE = 0.25
 """Share of a cell that a sample may move along each axis."""
@@ -42,14 +42,14 @@ REACH_CELLS, GROWTH, PATIENCE = 2.0, 1.5, 4
 that was not enough there; and the attempts after which no spot is new any more, so that there is an end to it."""
 
 
-class SdfGeometry:
-    """Φ, deformation and weights about a fixed initial surface; a :class:`genmf_mi.geometry.movable.Movable`.
+class SdfParameterization:
+    """Φ, deformation and weights about a fixed initial surface; a :class:`genmf_mi.geometry.parameterization.Parameterization`.
 
     asset: whose ``surface(training=True)`` is the initial surface. frame: of the part.
     vertices, normals: ``[V,3]`` of that surface, normalised frame; faces: ``[F,3]``.
     inward, outward: ``[V]``, room along the normal, normalised units; where there is none, nothing moves.
     smoothing: λ. broad: length in normalised units; what is broader is taken out of the heights, see
-        :class:`genmf_mi.geometry.mesh.Relief`.
+        :class:`genmf_mi.geometry.mesh.MeshParameterization`.
     """
 
     def __init__(
@@ -82,8 +82,8 @@ class SdfGeometry:
         self.samples = torch.as_tensor(around.samples, device=device)
         self.slope = tensor(slope(asset.phi, around.samples, around.distance))[:, None] / self.scale
         self.inward, self.outward = (tensor(self._spread(x))[:, None].clamp_min(1e-9) for x in (inward, outward))
-        self.solve = Smoother(around.edges, count, smoothing, device)
-        self.broad = broad_smoother(around.places * self.scale, around.edges, broad, device)
+        self.solve = ImplicitDiffusion(around.edges, count, smoothing, device)
+        self.broad = low_pass(around.places * self.scale, around.edges, broad, device)
 
         m, step = len(asset.phi), 1 / asset.resolution
         at_rest = np.zeros((m, m, m, 3), np.float32) if asset.deformation is None else asset.deformation
@@ -129,18 +129,18 @@ class SdfGeometry:
         deformation = self.at_rest.index_add(0, self.samples, bent)
         return phi.view_as(self.initial), deformation.view(*self.initial.shape, 3), self.weights + weights
 
-    def moved(self) -> Moved:
+    def moved(self) -> Geometry:
         """The extracted surface, Φ, and the losses of both."""
         phi, deformation, weights = self.fields()
         surface = self.extract(phi, deformation, weights)
         step = 2 / (len(phi) - 1)
         terms = {
-            "sdf_variation": losses.total_variation(phi, self.samples, step),
-            "deviation": losses.deviation(surface.deviation, step),
-            "weight_norm": weight_norm(surface.weights),
+            "sdf_tv": losses.sdf_tv(phi, self.samples, step),
+            "l_dev": losses.l_dev(surface.deviation, step),
+            "flexi_weight_reg": flexi_weight_reg(surface.weights),
         }
         shift = torch.as_tensor(self.shift, dtype=torch.float32, device=self.device)
-        return Moved(surface.vertices * self.scale + shift, surface.faces, phi, terms)
+        return Geometry(surface.vertices * self.scale + shift, surface.faces, phi, terms)
 
     def start_from(self, heights: np.ndarray) -> None:
         """Make :meth:`heights` the ``heights [V]`` of the closest points, up to 0.98 of the room and but for their
@@ -153,7 +153,7 @@ class SdfGeometry:
             self.latent[self.blocks[0]] = self.solve.inverse(x)[:, 0]
 
     def distance(self, samples: int) -> Callable[[Tensor], Tensor]:
-        """See :class:`genmf_mi.geometry.field.FieldDistance`."""
+        """See :class:`genmf_mi.geometry.sdf_distance.FieldDistance`."""
         return FieldDistance(self, samples)
 
     def reached(self) -> np.ndarray:
@@ -171,7 +171,7 @@ class SdfGeometry:
         part = self._part(reached, None)
         return part.vertices, part.faces
 
-    def finished(self, reached: np.ndarray, crossings: Crossings) -> Finished:
+    def finished(self, reached: np.ndarray, crossings: Crossings) -> RefinedSurface:
         """Take changes of the fields back around faces that cut through others, and extract again, until no more of
         them are left than the initial surface has. First go deformation and weights, as these make faces cross within
         a cell; where that is not enough half of the change of Φ, then all of it, ever farther around the spot."""
@@ -203,9 +203,9 @@ class SdfGeometry:
                     share *= 1 - taken * np.clip(2 - 2 * away, 0, 1)
         held = int((np.minimum(*kept[:2]) < 1).sum())
         report = {"self_intersections_before": len(own), "untangled": first, "samples_held_back": held}
-        return Finished(part.vertices, part.faces, part.foot, part.normals, report)
+        return RefinedSurface(part.vertices, part.faces, part.foot, part.normals, report)
 
-    def _part(self, reached: np.ndarray, kept: tuple[np.ndarray, ...] | None) -> Finished:
+    def _part(self, reached: np.ndarray, kept: tuple[np.ndarray, ...] | None) -> RefinedSurface:
         """The surface without specks, every vertex within the room of its point on the initial one, to which weights
         and deformation do not keep by themselves. Bodies that were just large enough before are no specks now."""
         with torch.no_grad():
@@ -228,7 +228,7 @@ class SdfGeometry:
         raised = np.einsum("vk,vk->v", offset, normals) > 0
         room = np.where(raised, *(there(x) for x in self.room[::-1]))
         offset *= np.minimum(1, room / np.maximum(away, 1e-20))[:, None]
-        return Finished(foot + offset, faces, foot, normals)
+        return RefinedSurface(foot + offset, faces, foot, normals)
 
     def _to_grid(self, points: np.ndarray) -> np.ndarray:
         """Normalised frame to grid units, ``[N,3]``."""

@@ -34,7 +34,7 @@ def masked_mean(x: Tensor, mask: Tensor) -> Tensor:
     return ((x * mask).sum(dim=(2, 3)) / inside).mean()
 
 
-def on_screen(grey: Tensor, coverage: Tensor, reference: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+def align_srgb(grey: Tensor, coverage: Tensor, reference: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
     """Ĝ and G_gt as they are compared: equal exposure, encoded for a screen, aligned; both 0 outside of the mask.
 
     grey, reference: linear, weighted by their coverage and mask as they come from the renderer. The exposure is matched
@@ -76,7 +76,7 @@ def grey_l1(aligned: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
     return masked_mean(((aligned - reference).square() + L1_KNEE**2).sqrt() - L1_KNEE, mask)
 
 
-def structure(image: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
+def ssim_loss(image: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
     """1 − SSIM inside the mask (Wang et al. 2004), with a uniform 7 × 7 window and data range 1, as scikit-image has
     it.
 
@@ -139,7 +139,7 @@ def gradient_match(aligned: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
     return 0.6 * at_scale(aligned, reference, mask) + 0.4 * at_scale(*half)
 
 
-def polarity(aligned: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
+def gradient_sign_penalty(aligned: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
     """Guard beside L_dir, which squares the cosine and takes a dark line for a bright one.
 
     The mean of max(0, −cos) weighted by the reference's gradient magnitude, relative to its mean: zero where light

@@ -66,7 +66,7 @@ def teacher_normal(normal: Tensor, teacher: Tensor, mask: Tensor) -> Tensor:
     return 1 - masked_mean(_cosine(normal, teacher).abs(), interior(mask))
 
 
-def orientation(normal: Tensor, teacher: Tensor, mask: Tensor) -> Tensor:
+def normal_flip_penalty(normal: Tensor, teacher: Tensor, mask: Tensor) -> Tensor:
     """Guard beside L_teac-norm, whose absolute value cannot see a flipped normal: E[max(0, −N·N_t)]."""
     return masked_mean((-_cosine(normal, teacher)).clamp_min(0), interior(mask))
 

@@ -10,8 +10,8 @@ from genmf_mi.losses import appearance, geometry, perceptual
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from genmf_mi.bridge import Buffers
-    from genmf_mi.config import Weights
+    from genmf_mi.core.config import Weights
+    from genmf_mi.render.bridge import Buffers
 
 MARGIN = 12
 """Pixels around the object that are kept."""
@@ -31,18 +31,18 @@ def terms(part: Buffers, reference: Buffers, weights: Weights) -> dict[str, Tens
     window = _window(reference.coverage)
     part, reference = part.crop(window), reference.crop(window)
     mask = reference.coverage
-    aligned, target = appearance.on_screen(
+    aligned, target = appearance.align_srgb(
         part.grey, mask if part.coverage is None else part.coverage.detach(), reference.grey, mask
     )
     by_name = {
         "grey_l1": lambda: appearance.grey_l1(aligned, target, mask),
         "grey_lpips": lambda: perceptual.lpips(aligned, target).mean(),
-        "structure": lambda: appearance.structure(aligned, target, mask),
-        "gradient_structure": lambda: appearance.structure(
+        "ssim": lambda: appearance.ssim_loss(aligned, target, mask),
+        "gradient_ssim": lambda: appearance.ssim_loss(
             appearance.gradient_magnitude(aligned), appearance.gradient_magnitude(target), mask
         ),
         "gradient": lambda: appearance.gradient_match(aligned, target, mask),
-        "polarity": lambda: appearance.polarity(aligned, target, mask),
+        "gradient_sign": lambda: appearance.gradient_sign_penalty(aligned, target, mask),
     }
     if part.depth is not None:
         by_name |= {
@@ -50,7 +50,7 @@ def terms(part: Buffers, reference: Buffers, weights: Weights) -> dict[str, Tens
             "normal_smoothness": lambda: geometry.normal_smoothness(part.normal, mask),
             "teacher_depth": lambda: geometry.teacher_depth(part.depth, reference.depth, mask),
             "teacher_normal": lambda: geometry.teacher_normal(part.normal, reference.normal, mask),
-            "orientation": lambda: geometry.orientation(part.normal, reference.normal, mask),
+            "normal_flip": lambda: geometry.normal_flip_penalty(part.normal, reference.normal, mask),
         }
     return {name: term() for name, term in by_name.items() if getattr(weights, name) > 0}
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-from genmf_mi import weights
-from genmf_mi.weights import Network
+from genmf_mi.losses import lpips_weights as weights
+from genmf_mi.losses.lpips_weights import Network
 
 if TYPE_CHECKING:
     import torch

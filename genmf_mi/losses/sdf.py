@@ -1,6 +1,6 @@
 """What keeps a field and the surface extracted from it even (GenMF, L_sdf-tv and L_reg).
 
-The second term of L_reg is :func:`genmf_mi.geometry.flexicubes.weight_norm`.
+The second term of L_reg is :func:`genmf_mi.sdf.flexicubes.flexi_weight_reg`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 
-def total_variation(phi: Tensor, samples: Tensor, cell: float) -> Tensor:
+def sdf_tv(phi: Tensor, samples: Tensor, cell: float) -> Tensor:
     """L_sdf-tv = Σ E|∇Φ| over the three axes, by forward differences.
 
     phi: ``[m,m,m]``. samples: ``[N]``, indices into the flattened grid, none of them on its last layers; only these
@@ -23,9 +23,9 @@ def total_variation(phi: Tensor, samples: Tensor, cell: float) -> Tensor:
     return sum((flat[samples + step] - here).abs().mean() for step in (m * m, m, 1)) / cell
 
 
-def deviation(distance: Tensor, cell: float) -> Tensor:
+def l_dev(distance: Tensor, cell: float) -> Tensor:
     """L_dev, the first term of L_reg: how unequally far the dual vertices are from the crossings around them, in cells.
 
-    distance: ``[D]``, :attr:`genmf_mi.geometry.flexicubes.Surface.deviation`, in the unit of ``cell``.
+    distance: ``[D]``, :attr:`genmf_mi.sdf.flexicubes.Surface.deviation`, in the unit of ``cell``.
     """
     return distance.mean() / cell

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from genmf_mi.colour import to_srgb
+from genmf_mi.core.colour import to_srgb
 from genmf_mi.report.model import Report
 
 MAX_FACES = 600_000

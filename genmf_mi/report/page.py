@@ -10,8 +10,8 @@ from pathlib import Path
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
-from genmf_mi.errors import OutputError
-from genmf_mi.files import write_text
+from genmf_mi.core.errors import OutputError
+from genmf_mi.core.files import write_text
 from genmf_mi.report import curves, packing, tables
 from genmf_mi.report.model import Report, View
 from genmf_mi.report.pictures import (

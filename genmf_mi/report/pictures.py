@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from genmf_mi.colour import to_linear, to_srgb
-from genmf_mi.errors import OutputError
-from genmf_mi.files import atomic
+from genmf_mi.core.colour import to_linear, to_srgb
+from genmf_mi.core.errors import OutputError
+from genmf_mi.core.files import atomic
 from genmf_mi.report.model import View
 
 PLASTIC = (0.92, 0.88, 0.825)

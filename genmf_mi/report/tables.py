@@ -140,7 +140,7 @@ def compare(metrics: dict) -> tuple[list[Comparison], list[tuple[str, str]]]:
 
 
 def stress(metrics: dict) -> TextTable | None:
-    """What the solver says of a run (:func:`genmf_mi.stress.verdict.judge`) next to LPIPS; None if it was not asked."""
+    """What the solver says of a run (:func:`genmf_mi.stress.report.verification.judge`) next to LPIPS; None if it was not asked."""
     verdict = metrics.get("stress") or {}
     if "ratio" not in verdict:
         return None

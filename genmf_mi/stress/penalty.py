@@ -12,9 +12,9 @@ import torch
 from torch import Tensor
 
 from genmf_mi.losses import stress as losses
-from genmf_mi.stress.metrics import BAND
-from genmf_mi.stress.network import window
-from genmf_mi.stress.predictor import Predictor
+from genmf_mi.stress.model.network import window
+from genmf_mi.stress.model.predictor import Predictor
+from genmf_mi.stress.training.metrics import BAND
 
 
 class StressPenalty:
@@ -22,7 +22,7 @@ class StressPenalty:
 
     Args:
         predictor: tells the field.
-        distance: from the shape to Φ ``[1,n,n,n]``, differentiable: :class:`genmf_mi.geometry.distance.MeshDistance`
+        distance: from the shape to Φ ``[1,n,n,n]``, differentiable: :class:`genmf_mi.geometry.mesh_distance.MeshDistance`
             for the vertices of a mesh, the identity where the shape is Φ itself.
         initial: the shape before its refinement, any tensor.
         every: calls per look at the field.

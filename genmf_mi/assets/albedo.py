@@ -1,0 +1,103 @@
+"""The colour of a surface: textures, factors and vertex colours, looked up as linear RGB at any point of any face."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from genmf_mi.core import colour
+
+REPEAT, CLAMP, MIRROR = "repeat", "clamp", "mirror"
+
+
+@dataclass(frozen=True, eq=False)
+class Texture:
+    """An sRGB-encoded picture with the rules for reading it.
+
+    pixels: ``uint8 [H,W,3]``, row 0 at the top, which is v = 0 as in glTF.
+    wrap: the rule outside 0..1 along u and v: ``repeat``, ``clamp`` or ``mirror``.
+    nearest: take the texel instead of interpolating four.
+    transform: ``[2,3]``, applied to (u, v, 1) before the lookup (KHR_texture_transform).
+    """
+
+    pixels: np.ndarray
+    wrap: tuple[str, str] = (REPEAT, REPEAT)
+    nearest: bool = False
+    transform: np.ndarray = field(default_factory=lambda: np.eye(2, 3))
+
+    def sample(self, uv: np.ndarray) -> np.ndarray:
+        """Linear RGB ``float32 [N,3]`` at ``uv [N,2]``; interpolated after decoding, as graphics cards do."""
+        uv = uv @ self.transform[:, :2].T + self.transform[:, 2]
+        height, width = self.pixels.shape[:2]
+        if self.nearest:
+            columns = _wrap(np.floor(uv[:, 0] * width).astype(np.int64), width, self.wrap[0])
+            rows = _wrap(np.floor(uv[:, 1] * height).astype(np.int64), height, self.wrap[1])
+            return colour.bytes_to_linear(self.pixels[rows, columns])
+        x, y = uv[:, 0] * width - 0.5, uv[:, 1] * height - 0.5
+        left, top = np.floor(x), np.floor(y)
+        right_part, lower_part = (x - left).astype(np.float32)[:, None], (y - top).astype(np.float32)[:, None]
+        columns = [_wrap(left.astype(np.int64) + step, width, self.wrap[0]) for step in (0, 1)]
+        rows = [_wrap(top.astype(np.int64) + step, height, self.wrap[1]) for step in (0, 1)]
+        texel = [[colour.bytes_to_linear(self.pixels[row, column]) for column in columns] for row in rows]
+        upper, lower = (left + (right - left) * right_part for left, right in texel)
+        return upper + (lower - upper) * lower_part
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """Base colour of some faces: ``factor`` (linear RGB) times the texture, if there is one."""
+
+    factor: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    texture: Texture | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Albedo:
+    """Where the colour of every face comes from: factor × texture × vertex colour, all in linear RGB.
+
+    materials: the distinct materials.
+    material: ``int64 [F]``, which of them a face has.
+    uv: ``float64 [V,2]`` with v downwards; read only where the material has a texture.
+    colours: linear vertex colours ``float32 [V,3]``, white where the file has none.
+    """
+
+    materials: tuple[Material, ...]
+    material: np.ndarray
+    uv: np.ndarray
+    colours: np.ndarray
+
+    @property
+    def varies(self) -> bool:
+        """Whether the colour can differ from one point to another at all."""
+        used = [self.materials[index] for index in np.unique(self.material)]
+        return (
+            any(material.texture is not None for material in used)
+            or len({material.factor for material in used}) > 1
+            or bool(np.ptp(self.colours, axis=0).max(initial=0) > 0)
+        )
+
+    def sample(self, faces: np.ndarray, face_index: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
+        """Linear RGB ``float32 [N,3]`` at ``barycentric [N,3]`` of the faces ``face_index [N]`` of ``faces [F,3]``."""
+        corners = faces[face_index]
+        rgb = np.einsum("nk,nkc->nc", barycentric.astype(np.float32), self.colours[corners])
+        material = self.material[face_index]
+        for index, this in enumerate(self.materials):
+            here = np.flatnonzero(material == index)
+            if len(here) == 0:
+                continue
+            rgb[here] *= np.asarray(this.factor, dtype=np.float32)
+            if this.texture is not None:
+                uv = np.einsum("nk,nkc->nc", barycentric[here], self.uv[corners[here]])
+                rgb[here] *= this.texture.sample(uv)
+        return np.clip(rgb, 0, 1)
+
+
+def _wrap(index: np.ndarray, size: int, rule: str) -> np.ndarray:
+    """Texel indices outside the picture brought back into it."""
+    if rule == CLAMP:
+        return np.clip(index, 0, size - 1)
+    if rule == MIRROR:
+        index = index % (2 * size)
+        return np.where(index < size, index, 2 * size - 1 - index)
+    return index % size

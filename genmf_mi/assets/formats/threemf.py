@@ -1,0 +1,127 @@
+"""3MF with its colours, through lib3mf, the consortium's own library; trimesh reads the geometry only."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from genmf_mi.assets.albedo import CLAMP, MIRROR, REPEAT, Material, Texture
+from genmf_mi.assets.part import Part, pixels
+from genmf_mi.core import colour
+from genmf_mi.core.errors import AssetError
+
+
+def read(path: Path) -> list[Part]:
+    """All objects on the build plate, in the file's own unit and z up, one part per object and group of colours.
+
+    Colours are sRGB-encoded by the specification; of composite materials the display colours are mixed in linear light.
+
+    Raises:
+        AssetError: the file uses multi-properties, which layer several colours on one triangle.
+    """
+    from lib3mf import get_wrapper
+
+    model = get_wrapper().CreateModel()
+    model.QueryReader("3mf").ReadFromFile(str(path))
+    parts, groups = [], {}
+    items = model.GetBuildItems()
+    while items.MoveNext():
+        item = items.GetCurrent()
+        matrix = _matrix(item.GetObjectTransform()) if item.HasObjectTransform() else np.eye(4)
+        parts += _object(path, model, groups, item.GetObjectResource(), matrix)
+    return parts
+
+
+def _object(path: Path, model, groups: dict, item, matrix: np.ndarray) -> list[Part]:
+    if item.IsComponentsObject():
+        parts, assembly = [], model.GetComponentsObjectByID(item.GetUniqueResourceID())
+        for index in range(assembly.GetComponentCount()):
+            component = assembly.GetComponent(index)
+            inner = _matrix(component.GetTransform()) if component.HasTransform() else np.eye(4)
+            parts += _object(path, model, groups, component.GetObjectResource(), matrix @ inner)
+        return parts
+    mesh = model.GetMeshObjectByID(item.GetUniqueResourceID())
+    vertices = np.array([tuple(vertex.Coordinates) for vertex in mesh.GetVertices()], dtype=np.float64).reshape(-1, 3)
+    faces = np.array([tuple(face.Indices) for face in mesh.GetTriangleIndices()], dtype=np.int64).reshape(-1, 3)
+    fallback, number, present = mesh.GetObjectLevelProperty()
+    group, corner = np.zeros(len(faces), dtype=np.int64), np.zeros((len(faces), 3), dtype=np.int64)
+    if present:
+        group[:], corner[:] = fallback, number
+    for row, properties in enumerate(mesh.GetAllTriangleProperties()):
+        if properties.ResourceID:
+            group[row], corner[row] = properties.ResourceID, tuple(properties.PropertyIDs)
+    parts = []
+    for identifier in np.unique(group):
+        here = group == identifier
+        if identifier not in groups:
+            groups[identifier] = _group(path, model, int(identifier))
+        material, uv, colours = groups[identifier]
+        ids = corner[here].ravel()
+        parts.append(
+            Part(
+                vertices[faces[here]].reshape(-1, 3),
+                np.arange(3 * here.sum()).reshape(-1, 3),
+                material,
+                None if uv is None else np.array([uv[number] for number in ids]),
+                None if colours is None else np.array([colours[number] for number in ids], dtype=np.float32),
+            ).moved(matrix)
+        )
+    return parts
+
+
+def _group(path: Path, model, identifier: int) -> tuple[Material, dict | None, dict | None]:
+    """A group of properties: its material, and texture coordinates or linear colours by property number."""
+    from lib3mf import PropertyType, TextureFilter
+
+    if identifier == 0:
+        return Material(), None, None
+    kind = model.GetPropertyTypeByID(identifier)
+    if kind == PropertyType.Colors:
+        group = model.GetColorGroupByID(identifier)
+        return Material(), None, {number: _linear(group.GetColor(number)) for number in group.GetAllPropertyIDs()}
+    if kind == PropertyType.BaseMaterial:
+        return Material(), None, _base_colours(model.GetBaseMaterialGroupByID(identifier))
+    if kind == PropertyType.Composite:
+        group = model.GetCompositeMaterialsByID(identifier)
+        base, colours = _base_colours(group.GetBaseMaterialGroup()), {}
+        for number in group.GetAllPropertyIDs():
+            shares = group.GetComposite(number)
+            total = sum(share.MixingRatio for share in shares) or 1.0
+            colours[number] = sum(base[share.PropertyID] * (share.MixingRatio / total) for share in shares)
+        return Material(), None, colours
+    if kind == PropertyType.TexCoord:
+        group = model.GetTexture2DGroupByID(identifier)
+        picture = group.GetTexture2D()
+        attachment = picture.GetAttachment()
+        wrap = tuple(_WRAP[int(style)] for style in picture.GetTileStyleUV())
+        texture = Texture(
+            pixels(bytes(attachment.WriteToBuffer()), attachment.GetPath()),
+            wrap,
+            picture.GetFilter() == TextureFilter.Nearest,
+        )
+        uv = {}
+        for number in group.GetAllPropertyIDs():
+            at = group.GetTex2Coord(number)
+            uv[number] = (at.U, 1 - at.V)  # v points up in 3MF
+        return Material(texture=texture), uv, None
+    raise AssetError(f"{path} layers several colours on one triangle (multi-properties). Export it as GLB instead.")
+
+
+def _base_colours(group) -> dict[int, np.ndarray]:
+    return {number: _linear(group.GetDisplayColor(number)) for number in group.GetAllPropertyIDs()}
+
+
+def _linear(rgba) -> np.ndarray:
+    return colour.bytes_to_linear(np.array([rgba.Red, rgba.Green, rgba.Blue]))
+
+
+def _matrix(transform) -> np.ndarray:
+    """A 3MF transform, whose rows are the images of the axes and the origin, as ``[4,4]`` for column vectors."""
+    matrix = np.eye(4)
+    matrix[:3] = np.array([tuple(row) for row in transform.Fields]).T
+    return matrix
+
+
+_WRAP = {0: REPEAT, 1: MIRROR, 2: CLAMP, 3: CLAMP}
+"""lib3mf's TextureTileStyle; outside a texture that is not tiled the specification leaves the colour open."""

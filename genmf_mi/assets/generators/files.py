@@ -1,0 +1,217 @@
+"""Reading and writing the files of docs/generators.md: NPZ, safetensors and PT, without running what they may hold."""
+
+from __future__ import annotations
+
+import pickle
+import warnings
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from genmf_mi.assets import asset as meshes
+from genmf_mi.assets.asset import Asset
+from genmf_mi.assets.generators import instantmesh, trellis
+from genmf_mi.assets.sdf_asset import SdfAsset
+from genmf_mi.core import colour
+from genmf_mi.core.errors import AssetError
+from genmf_mi.core.files import atomic
+from genmf_mi.mesh import topology
+
+FORMATS = (".npz", ".safetensors", ".pt")
+"""Suffixes that :func:`load` reads and, but for ``.pt``, :func:`save` writes."""
+
+_CODE = "holds pickled objects, which could run code when read. Save plain arrays only, see docs/generators.md."
+_FAR = 0.05
+"""Mean distance, as a share of the longest side, up to which a textured mesh is taken for the same object."""
+
+
+def load(path: str | Path, textured: str | Path | Asset | None = None) -> SdfAsset:
+    """A file that a generator's user, or :func:`save`, wrote. Which schema it has is told by its keys.
+
+    Args:
+        textured: the same object as a mesh with colours, y up or in the generator's own frame; it takes the place of
+            colours in the file.
+
+    Raises:
+        AssetError: the file is missing, damaged, of an unknown kind or schema, or holds pickled objects; what it holds
+            is no shape; or ``textured`` is another object.
+    """
+    path = Path(path)
+    arrays = read(path)
+    if "coords" in arrays and "feats" in arrays:
+        rotation = trellis.TO_Y_UP
+        resolution = int(_scalar(path, arrays, "resolution", trellis.RESOLUTION))
+        made = trellis.build(path.stem, arrays["coords"], arrays["feats"], resolution=resolution, source=path)
+    elif "sdf" in arrays:
+        rotation = instantmesh.TO_Y_UP
+        made = instantmesh.build(
+            path.stem,
+            *(arrays.get(key) for key in ("sdf", "deformation", "weights")),
+            scale=_scalar(path, arrays, "scale", instantmesh.SCALE),
+            source=path,
+        )
+    elif "phi" in arrays:
+        rotation = np.eye(3)
+        centre = arrays.get("centre", np.zeros(3)).reshape(-1)
+        if centre.shape != (3,):
+            raise AssetError(f"{path}: centre must be three numbers.")
+        made = SdfAsset(
+            path.stem,
+            *(_float32(arrays.get(key)) for key in ("phi", "deformation", "weights")),
+            arrays.get("rows"),
+            spread=_scalar(path, arrays, "spread", SdfAsset.spread),
+            centre=tuple(map(float, centre)),
+            half=_scalar(path, arrays, "half", SdfAsset.half),
+            source=path,
+        )
+    else:
+        raise AssetError(
+            f"{path} holds {', '.join(sorted(arrays)) or 'nothing'}. It needs sdf (InstantMesh) or coords and feats "
+            "(TRELLIS), see docs/generators.md."
+        )
+    if textured is not None:
+        mesh = textured if isinstance(textured, Asset) else meshes.load(textured)
+        return replace(made, coloured=_fitting(made, mesh, rotation))
+    if "colours" in arrays:
+        return replace(made, coloured=_painted(path, arrays, rotation))
+    return made
+
+
+def read(path: str | Path) -> dict[str, np.ndarray]:
+    """The arrays of a file by name; half and bfloat16 become float32.
+
+    Raises:
+        AssetError: as :func:`load`.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if not path.is_file():
+        raise AssetError(f"{path} is not there. Check the spelling, or give the full path.")
+    if suffix not in FORMATS:
+        raise AssetError(f"{path} is of an unknown kind ({suffix or 'no suffix'}). Use one of {', '.join(FORMATS)}.")
+    try:
+        arrays = {".npz": _read_npz, ".safetensors": _read_safetensors, ".pt": _read_pt}[suffix](path)
+    except AssetError:
+        raise
+    except Exception as error:  # damaged files make the readers raise anything at all
+        raise AssetError(
+            f"{path} cannot be read as {suffix[1:].upper()} ({type(error).__name__}: {error}). Write it again."
+        ) from error
+    return {key: array.astype(np.float32) if array.dtype == np.float16 else array for key, array in arrays.items()}
+
+
+def save(shape: SdfAsset, path: str | Path) -> Path:
+    """Write ``shape`` as NPZ or safetensors, with its colours per vertex of its surface. Returns the path.
+
+    Raises:
+        AssetError: another suffix.
+        OutputError: the file cannot be written.
+    """
+    path = Path(path)
+    arrays = {key: getattr(shape, key) for key in ("phi", "deformation", "weights", "rows")}
+    arrays = {key: array for key, array in arrays.items() if array is not None}
+    arrays |= {"centre": np.array(shape.centre), "half": np.array([shape.half]), "spread": np.array([shape.spread])}
+    if shape.coloured is not None:
+        mesh = shape.as_mesh()
+        encoded = np.rint(255 * colour.to_srgb(mesh.albedo.colours)).astype(np.uint8)
+        arrays |= {"vertices": mesh.vertices.astype(np.float32), "faces": mesh.faces, "colours": encoded}
+    if path.suffix.lower() not in FORMATS[:2]:
+        raise AssetError(f"{path} cannot be written; its suffix must be one of {', '.join(FORMATS[:2])}.")
+    with atomic(path) as temporary:
+        if path.suffix.lower() == ".npz":
+            np.savez_compressed(temporary, **arrays)
+        else:
+            from safetensors.numpy import save as serialize
+
+            # Its own writer raises an error of its own kind when the disk is full
+            temporary.write_bytes(serialize({key: np.ascontiguousarray(array) for key, array in arrays.items()}))
+    return path
+
+
+def _read_npz(path: Path) -> dict[str, np.ndarray]:
+    if not zipfile.is_zipfile(path):
+        raise AssetError(f"{path} is no NPZ file. Write it with numpy.savez_compressed.")
+    with np.load(path, allow_pickle=False) as members:
+        try:
+            return {key: members[key] for key in members.files}
+        except ValueError as error:
+            if "allow_pickle" in str(error):
+                raise AssetError(f"{path} {_CODE}") from None
+            raise
+
+
+def _read_safetensors(path: Path) -> dict[str, np.ndarray]:
+    from safetensors.torch import load_file
+
+    return {key: _array(tensor) for key, tensor in load_file(path).items()}
+
+
+def _read_pt(path: Path) -> dict[str, np.ndarray]:
+    import torch
+
+    try:
+        with warnings.catch_warnings():  # about pickles of another kind than torch's own, which are refused here
+            warnings.simplefilter("ignore")
+            content = torch.load(path, map_location="cpu", weights_only=True)
+    except pickle.UnpicklingError as error:
+        raise AssetError(f"{path} {_CODE}") from error
+    if not isinstance(content, dict):
+        raise AssetError(f"{path} holds a {type(content).__name__}; it must be a dictionary of tensors.")
+    return {
+        str(key): _array(value) if torch.is_tensor(value) else np.asarray(value)
+        for key, value in content.items()
+        if torch.is_tensor(value) or isinstance(value, int | float)
+    }
+
+
+def _array(tensor) -> np.ndarray:
+    import torch
+
+    return (tensor.float() if tensor.dtype == torch.bfloat16 else tensor).detach().contiguous().numpy()
+
+
+def _float32(array: np.ndarray | None) -> np.ndarray | None:
+    return None if array is None else array.astype(np.float32)
+
+
+def _scalar(path: Path, arrays: dict[str, np.ndarray], key: str, default: float) -> float:
+    value = np.asarray(arrays.get(key, default))
+    if value.size != 1 or not np.issubdtype(value.dtype, np.number) or not np.isfinite(value).all():
+        raise AssetError(f"{path}: {key} must be one number.")
+    return float(value.reshape(()))
+
+
+def _painted(path: Path, arrays: dict[str, np.ndarray], rotation: np.ndarray) -> Asset:
+    """The mesh with sRGB-encoded colours per vertex that a file may hold."""
+    missing = {"vertices", "faces"} - set(arrays)
+    if missing:
+        raise AssetError(f"{path} has colours but no {' and no '.join(sorted(missing))} that they belong to.")
+    colours = arrays["colours"]
+    encoded = colours / 255 if colours.dtype == np.uint8 else colours
+    if not np.isfinite(encoded).all() or encoded.min(initial=0) < -0.01 or encoded.max(initial=0) > 1.01:
+        raise AssetError(f"{path}: colours must be bytes, or numbers from 0 to 1.")
+    vertices = arrays["vertices"].reshape(-1, 3) @ rotation.T
+    linear = colour.to_linear(np.clip(encoded, 0, 1)).reshape(len(encoded), -1)[:, :3]
+    return Asset.from_arrays(path.stem, vertices, arrays["faces"], colours=linear)
+
+
+def _fitting(shape: SdfAsset, mesh: Asset, rotation: np.ndarray) -> Asset:
+    """``mesh``, turned as the generator's own frame if that is where it fits ``shape``."""
+    vertices, faces = shape.surface()
+    longest = np.ptp(vertices, axis=0).max()
+    turned = replace(mesh, vertices=mesh.vertices @ rotation.T)
+    far, best = min(
+        (
+            (topology.distance(one.vertices[np.unique(one.faces)], vertices, faces).mean(), one)
+            for one in (mesh, turned)
+        ),
+        key=lambda pair: pair[0],
+    )
+    if far > _FAR * longest:
+        raise AssetError(
+            f"{mesh.name} is not where {shape.name} is: its vertices are {far / longest:.0%} of the longest side off "
+            "the surface. Give the mesh that the generator wrote, neither moved nor scaled."
+        )
+    return best

@@ -1,0 +1,81 @@
+"""A piece of an asset as its file stores it, and how pieces become one mesh with one albedo."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+
+import numpy as np
+
+from genmf_mi.assets.albedo import Albedo, Material
+from genmf_mi.core.errors import AssetError
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Triangles that share a material.
+
+    vertices: ``float64 [V,3]``; faces: ``int64 [F,3]``.
+    uv: ``[V,2]`` with v downwards, or None; colours: linear RGB ``[V,3]``, or None.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    material: Material
+    uv: np.ndarray | None = None
+    colours: np.ndarray | None = None
+
+    def moved(self, matrix: np.ndarray) -> Part:
+        """The part under an affine ``matrix [4,4]``; a mirroring one turns the faces so that they stay outwards."""
+        vertices = self.vertices @ matrix[:3, :3].T + matrix[:3, 3]
+        faces = self.faces[:, ::-1] if np.linalg.det(matrix[:3, :3]) < 0 else self.faces
+        return Part(vertices, faces, self.material, self.uv, self.colours)
+
+
+def join(parts: list[Part]) -> tuple[np.ndarray, np.ndarray, Albedo]:
+    """Vertices ``[V,3]``, faces ``[F,3]`` and albedo of all parts together."""
+    starts = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
+    materials = list({id(part.material): part.material for part in parts}.values())
+    index = {id(material): number for number, material in enumerate(materials)}
+    white, origin = np.ones((1, 3), np.float32), np.zeros((1, 2))
+
+    def stack(arrays, fallback):
+        return np.concatenate(
+            [
+                np.broadcast_to(fallback, (len(part.vertices), fallback.shape[1])) if array is None else array
+                for part, array in zip(parts, arrays)
+            ]
+        ).astype(fallback.dtype)
+
+    return (
+        np.concatenate([part.vertices for part in parts]).astype(np.float64),
+        np.concatenate([part.faces + start for part, start in zip(parts, starts)]).astype(np.int64),
+        Albedo(
+            materials=tuple(materials),
+            material=np.concatenate([np.full(len(part.faces), index[id(part.material)]) for part in parts]),
+            uv=stack([part.uv for part in parts], origin),
+            colours=stack([part.colours for part in parts], white),
+        ),
+    )
+
+
+def pixels(data: bytes, name: str) -> np.ndarray:
+    """A picture file as sRGB-encoded ``uint8 [H,W,3]``; transparency is dropped.
+
+    Raises:
+        AssetError: the picture cannot be decoded.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(io.BytesIO(data)) as image:
+            if image.mode.startswith("I"):  # 16 bits: Pillow would clip instead of scale
+                grey = (np.asarray(image, dtype=np.int64) // 257).clip(0, 255).astype(np.uint8)
+                return np.repeat(grey[:, :, None], 3, axis=2)
+            if image.mode == "P":
+                image = image.convert("RGBA")
+            return np.asarray(image.convert("RGB"))
+    except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
+        raise AssetError(
+            f"the texture {name} cannot be decoded ({error}). Open it in an image editor and save it as PNG or JPEG."
+        ) from error

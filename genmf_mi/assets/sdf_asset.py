@@ -1,0 +1,128 @@
+"""A shape as Φ on a grid, in one frame and with one sign whatever generator it came from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from genmf_mi.assets.asset import Asset
+from genmf_mi.core.errors import AssetError
+
+if TYPE_CHECKING:
+    from genmf_mi.sdf.flexicubes import FlexiCubes
+
+LARGEST = 513
+"""Samples per axis that are accepted at most; Φ alone takes 0.5 GB then."""
+
+
+@dataclass(frozen=True, eq=False)
+class SdfAsset:
+    """Φ on a grid and how FlexiCubes is to mesh it, y up. The grid is the cube [-1, 1]³ in *grid units*.
+
+    phi: float32 ``[m,m,m]``, indexed x, y, z, negative inside, positive on the border. About a distance in grid units
+        near the surface; further off only its sign can be relied upon, unless :func:`convert.convert` made it.
+    deformation: float32 ``[m,m,m,3]``, how far the samples are moved, grid units, or None.
+    weights: float32 ``[K,21]``, free weights as :mod:`genmf_mi.sdf.flexicubes` has them, or None.
+    rows: int32 ``[n³]``, n = m - 1: which of the K rows a cube has, -1 for none. None if each has its own, K = n³.
+    spread: of the weights, see :class:`FlexiCubes`.
+    centre, half: the middle of the grid and half its side, in file units.
+    coloured: a surface with the object's colours, in file units, or None if it has none.
+    report: what was done on the way here.
+
+    Raises:
+        AssetError: an array has the wrong size or numbers that are none, samples are moved by more than half a cell, or
+            no surface lies inside of the grid.
+    """
+
+    name: str
+    phi: np.ndarray
+    deformation: np.ndarray | None = None
+    weights: np.ndarray | None = None
+    rows: np.ndarray | None = None
+    spread: float = 0.99
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    half: float = 1.0
+    coloured: Asset | None = None
+    source: Path | None = None
+    report: dict = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        m, where = next(iter(np.shape(self.phi)), 0), self.source or self.name
+        if np.shape(self.phi) != (m, m, m) or not 4 <= m <= LARGEST:
+            raise AssetError(
+                f"{where}: phi must be a cube of 4 to {LARGEST} samples per axis, not {np.shape(self.phi)}."
+            )
+        count = (m - 1) ** 3
+        if self.rows is not None:
+            count = next(iter(np.shape(self.weights)), 0)
+        for name, shape in (("deformation", (m, m, m, 3)), ("weights", (count, 21)), ("rows", ((m - 1) ** 3,))):
+            array = getattr(self, name)
+            if array is not None and np.shape(array) != shape:
+                raise AssetError(f"{where}: {name} must have the shape {shape} for {m} samples, not {np.shape(array)}.")
+        for name in ("phi", "deformation", "weights"):
+            array = getattr(self, name)
+            if array is not None and not np.isfinite(array).all():
+                raise AssetError(f"{where}: {name} has numbers that are none (NaN or infinite). Generate it again.")
+        if self.rows is not None and not -1 <= self.rows.min() <= self.rows.max() < count:
+            raise AssetError(f"{where}: rows point to weights that are not there.")
+        if self.deformation is not None and np.abs(self.deformation).max() > (1 + 1e-4) / (m - 1):
+            raise AssetError(f"{where}: deformation moves samples by more than half a cell, so that cells would fold.")
+        if not (0 < self.spread < 1 and self.half > 0 and np.isfinite([self.half, *self.centre]).all()):
+            raise AssetError(f"{where}: spread must be between 0 and 1, half positive, and centre three numbers.")
+        if not (self.phi < 0).any():
+            raise AssetError(f"{where}: the level set is empty, phi is negative nowhere. Generate it again.")
+        if min(side.min() for axis in range(3) for side in np.moveaxis(self.phi, axis, 0)[[0, -1]]) < 0:
+            raise AssetError(f"{where}: phi is negative on the border of its grid, so the surface is open there.")
+
+    @property
+    def resolution(self) -> int:
+        """n, cells per axis."""
+        return len(self.phi) - 1
+
+    @property
+    def textured(self) -> bool:
+        """Whether there is any colour that relief could show."""
+        return self.coloured is not None and self.coloured.textured
+
+    def extractor(self, device: str = "cpu") -> FlexiCubes:
+        """Makes surfaces out of ``phi``, ``deformation`` and ``weights`` as tensors."""
+        import torch
+
+        from genmf_mi.sdf.flexicubes import FlexiCubes
+
+        return FlexiCubes(self.spread, None if self.rows is None else torch.as_tensor(self.rows, device=device))
+
+    def surface(self, training: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices ``float64 [V,3]`` in file units and faces ``int64 [F,3]``, closed and looking outwards."""
+        import torch
+
+        parts = (self.phi, self.deformation, self.weights)
+        tensors = [None if part is None else torch.as_tensor(part) for part in parts]
+        made = self.extractor()(*tensors, training=training)
+        return self.restore(made.vertices.double().numpy()), made.faces.numpy()
+
+    def restore(self, points: np.ndarray) -> np.ndarray:
+        """Grid units to file units, ``[N,3]``."""
+        return points * self.half + np.asarray(self.centre)
+
+    def to_grid(self, points: np.ndarray) -> np.ndarray:
+        """File units to grid units, ``[N,3]``."""
+        return (points - np.asarray(self.centre)) / self.half
+
+    def closest_albedo(self, points: np.ndarray, normals: np.ndarray | None = None) -> np.ndarray:
+        """Linear RGB ``float32 [N,3]`` at ``points [N,3]`` in file units, as :meth:`Asset.closest_albedo`; white if the
+        object has no colours."""
+        if self.coloured is None:
+            return np.ones((len(points), 3), np.float32)
+        return self.coloured.closest_albedo(points, normals)
+
+    def as_mesh(self) -> Asset:
+        """The extracted surface with its colours per vertex."""
+        from genmf_mi.mesh.topology import vertex_normals
+
+        vertices, faces = self.surface(training=True)
+        colours = self.closest_albedo(vertices, vertex_normals(vertices, faces))
+        return Asset.from_arrays(self.name, vertices, faces, colours=colours)

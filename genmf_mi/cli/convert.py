@@ -1,0 +1,133 @@
+"""``genmf-mi convert``: between meshes and files that hold Φ."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import tyro
+
+from genmf_mi.core.errors import ConfigError, OutputError
+
+if TYPE_CHECKING:
+    from genmf_mi.assets.sdf_asset import SdfAsset
+
+SDF, MESH, GRID = (".npz", ".safetensors"), (".glb",), (".vol",)
+"""Suffixes that can be written: Φ with colours, the extracted mesh, Φ alone for Mitsuba's ``sdfgrid``."""
+COARSEST = 17
+
+
+def convert(
+    asset: tyro.conf.Positional[str],
+    out: Path | None = None,
+    samples: int = 129,
+    textured: Path | None = None,
+    force: bool = False,
+    quiet: bool = False,
+) -> int:
+    """Turn a textured mesh into an SDF file, or an SDF file into the coloured mesh that it stands for.
+
+    Args:
+        asset: A mesh file, the name of a bundled sample, or an SDF file (NPZ, safetensors or PT, also of a generator:
+            see docs/generators.md).
+        out: What to write; its suffix says what: .npz or .safetensors (SDF), .glb (mesh with vertex colours), .vol (for
+            scenes with Mitsuba's sdfgrid). NAME.npz for a mesh and NAME.glb for an SDF file if not given.
+        samples: Of the grid per axis, for a mesh; an SDF file keeps its own.
+        textured: The same object as a mesh with colours, for an SDF file that has none or coarse ones.
+        force: Replace a file that is there.
+        quiet: No progress, only the line at the end.
+    """
+    from genmf_mi.assets.generators.files import FORMATS
+    from genmf_mi.assets.samples import resolve
+
+    path = resolve(asset)
+    from_mesh = path.suffix.lower() not in FORMATS
+    out = out or Path(f"{path.stem}{SDF[0] if from_mesh else MESH[0]}")
+    _require(path, out, samples, textured, from_mesh, force)
+    if quiet:
+        print(_convert(path, out, samples, textured, from_mesh, lambda text: None))
+        return 0
+    from genmf_mi.cli.progress import Terminal
+
+    terminal = Terminal()
+    with terminal.progress:
+        line = _convert(path, out, samples, textured, from_mesh, terminal.say)
+    print(line)
+    return 0
+
+
+def _require(path: Path, out: Path, samples: int, textured: Path | None, from_mesh: bool, force: bool) -> None:
+    """Refuse what cannot work before anything is computed."""
+    from genmf_mi.assets.sdf_asset import LARGEST
+
+    suffix, possible = out.suffix.lower(), (*SDF, *GRID) if from_mesh else (*SDF, *MESH, *GRID)
+    if suffix in MESH and from_mesh:
+        raise ConfigError(f"{path.name} is a mesh already; --out takes {', '.join(possible)}.")
+    if suffix not in possible:
+        raise ConfigError(f"{out} is of an unknown kind ({suffix or 'no suffix'}); --out takes {', '.join(possible)}.")
+    if not COARSEST <= samples <= LARGEST:
+        raise ConfigError(f"--samples must be from {COARSEST} to {LARGEST}, not {samples}.")
+    if textured and from_mesh:
+        raise ConfigError(f"{path.name} is a mesh and has its own colours: --textured goes with an SDF file.")
+    if out.is_dir():
+        raise OutputError(f"{out} is a folder. Choose another --out.")
+    if out.exists() and out.samefile(path):
+        raise OutputError(f"{out} is the asset itself. Choose another --out.")
+    if out.exists() and not force:
+        raise OutputError(f"{out} is there already. Use --force to replace it, or another --out.")
+
+
+def _convert(
+    path: Path, out: Path, samples: int, textured: Path | None, from_mesh: bool, say: Callable[[str], None]
+) -> str:
+    """Read, convert and write; returns what was done as a line."""
+    from genmf_mi.assets import asset as meshes
+    from genmf_mi.assets.generators import files
+    from genmf_mi.assets.generators.from_mesh import convert as to_sdf
+
+    say("reading")
+    shape = to_sdf(meshes.load(path), samples, say) if from_mesh else files.load(path, textured=textured)
+    say("writing")
+    if out.suffix.lower() in SDF:
+        return f"{files.save(shape, out)}: {_described(shape)}"
+    if out.suffix.lower() in MESH:
+        return f"{out}: {_write_mesh(shape, out)}"
+    return f"{out}: {_described(shape)}\n{_write_grid(shape, out)}"
+
+
+def _described(shape: SdfAsset) -> str:
+    line = f"{shape.resolution + 1}³ samples, {'with' if shape.textured else 'without'} colours"
+    lost = shape.report.get("lost_fraction", 0.0)
+    if lost < 0.0005:
+        return line
+    return f"{line}; {lost:.1%} of the surface is thinner than two cells and may be lost (more with --samples)"
+
+
+def _write_mesh(shape: SdfAsset, out: Path) -> str:
+    from genmf_mi.core.files import atomic
+    from genmf_mi.mesh import topology
+    from genmf_mi.pipeline import fabrication as fabricate
+
+    mesh = shape.as_mesh()
+    rgb = mesh.albedo.colours if shape.textured else None
+    with atomic(out) as temporary:
+        fabricate.write_glb(temporary, mesh.vertices, mesh.faces, rgb, shape.name)
+    closed, bodies = topology.is_closed(mesh.faces), int(topology.bodies(mesh.faces).max() + 1)
+    return (
+        f"{len(mesh.vertices)} vertices, {len(mesh.faces)} faces, {'with' if shape.textured else 'without'} colours, "
+        f"{'closed' if closed else 'NOT closed'}, {bodies} {'body' if bodies == 1 else 'bodies'}"
+    )
+
+
+def _write_grid(shape: SdfAsset, out: Path) -> str:
+    """Returns how to look at it."""
+    from genmf_mi.core.frame import Frame
+    from genmf_mi.render import scene, sdf_scene, variant
+
+    variant.use("auto")
+    sdf_scene.write_grid(shape, out)
+    placement = sdf_scene.placement(shape, Frame.of(shape.surface()[0], size_mm=1.0))
+    settings = "".join(f', {name}="{value:.6g}"' for name, value in placement.items())
+    xml = scene.find(shape.name, scene.GRID)
+    return f'look at it with mi.load_file("{xml}", grid="{out}"{settings}) after `import genmf_mi.plugins`'

@@ -1,0 +1,165 @@
+"""Settings of a refinement. The command line is made from these dataclasses, so their docstrings are its help."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, fields
+from math import isfinite
+from typing import Literal
+
+from genmf_mi.core.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weights λ of the loss terms; 0 leaves a term out."""
+
+    grey_l1: float = 1.0
+    """Mean absolute difference of the grey images."""
+    grey_lpips: float = 3.0
+    """Perceptual difference of the grey images (LPIPS, AlexNet)."""
+    gradient: float = 1.0
+    """L_geo: magnitude and direction of the Sobel gradients at two scales."""
+    ssim: float = 1.0
+    """1 − SSIM of the grey images; not in the paper, it keeps plain areas plain."""
+    gradient_ssim: float = 1.0
+    """1 − SSIM of the gradient magnitudes; not in the paper."""
+    gradient_sign: float = 0.1
+    """Guard of L_geo: light and dark must change in the same direction."""
+    depth_smoothness: float = 0.0
+    """High-frequency depth."""
+    normal_smoothness: float = 0.02
+    """High-frequency normals."""
+    teacher_depth: float = 4.0
+    """Distance from the initial depth."""
+    teacher_normal: float = 0.02
+    """Deviation from the initial normals."""
+    normal_flip: float = 1.0
+    """Guard of the teacher normal: no normal may turn away."""
+    sdf_tv: float = 0.1
+    """L_sdf-tv: total variation of Φ. This and the next two are for shapes that are Φ on a grid."""
+    l_dev: float = 0.1
+    """L_dev: cells whose surface crosses their edges unevenly."""
+    flexi_weight_reg: float = 0.01
+    """Size of the FlexiCubes weights."""
+
+    def __post_init__(self) -> None:
+        for name, weight in vars(self).items():
+            if not (weight >= 0 and isfinite(weight)):
+                raise ConfigError(f"weights.{name.replace('_', '-')} cannot be {weight:g}: 0 leaves the term out.")
+
+
+@dataclass(frozen=True)
+class RefineConfig:
+    """How a textured asset becomes a one-colour part."""
+
+    size_mm: float = 100.0
+    """Longest side of the printed part."""
+    max_relief_mm: float = 1.0
+    """No point of the surface moves farther than this; textures of little contrast are given less."""
+    nozzle_mm: float = 0.4
+    """Relief finer than the nozzle is filtered out; walls are kept at twice this thickness."""
+    method: Literal["relief", "displacement"] = "relief"
+    """Optimise the relief, or only offset the surface by brightness (the baseline)."""
+    iterations: int = 250
+    """Optimisation steps, one random view each."""
+    resolution: int = 384
+    """Pixels per side of the images compared."""
+    samples: int = 4
+    """Rays per pixel."""
+    max_faces: int = 160_000
+    """Face budget of the refined mesh; the cells of a grid decide where the shape is Φ."""
+    edge_mm: float = 0.0
+    """Edge length of the refined mesh (not of one out of Φ), longer if the face budget demands it; 0: what nozzle and
+    pixels can show."""
+    learning_rate: float = 0.0125
+    """Step on the latent heights, in normalised units."""
+    smoothing: float = 30.0
+    """λ of the large-steps preconditioner: higher spreads a step more widely."""
+    gradient_floor: float = 5e-4
+    """Gradients well below this move the surface in proportion instead of at full steps."""
+    stress: bool = True
+    """Keep the predicted thermal stress down in a second stage."""
+    stress_weight: float = 1.0
+    """Pull of the stress against that of the appearance; at 1 both move the surface equally fast at first."""
+    stress_every: int = 10
+    """Iterations from one look at the stress to the next; its gradient is held in between."""
+    stage_one_share: float = 0.6
+    """Share of the iterations before stress joins in."""
+    view_jitter: tuple[float, float] = (30.0, 15.0)
+    """Each iteration's view strays from a standard one by up to these degrees of azimuth and elevation."""
+    light_jitter: float = 10.0
+    """Each iteration's lights are turned by up to this many degrees."""
+    weights: Weights = field(default_factory=Weights)
+    """Weights of the loss terms."""
+    score_vgg: bool = True
+    """Score with VGG16 LPIPS too, which takes as long as a hundred iterations on a small machine."""
+    silhouettes: bool = False
+    """Also differentiate moving outlines (projective sampling): slower, without the geometry terms, and no better on
+    the chair and the cow of the benchmarks."""
+    seed: int = 0
+    """Of the random views; the same seed gives the same part."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where to compute."""
+
+    def __post_init__(self) -> None:
+        def require(good: bool, what: str) -> None:
+            if not good:
+                raise ConfigError(what)
+
+        for name, value in vars(self).items():
+            if isinstance(value, float):
+                require(isfinite(value), f"{name.replace('_', '-')} must be a finite number, not {value}.")
+        require(
+            self.size_mm > 0, f"size-mm is the longest side of the part and must be positive, not {self.size_mm:g}."
+        )
+        require(self.max_relief_mm >= 0, f"max-relief-mm cannot be negative ({self.max_relief_mm:g}).")
+        require(
+            self.max_relief_mm <= self.size_mm / 10,
+            f"max-relief-mm {self.max_relief_mm:g} is more than a tenth of size-mm {self.size_mm:g}: lower it.",
+        )
+        require(self.nozzle_mm > 0, f"nozzle-mm must be positive, not {self.nozzle_mm:g}.")
+        require(self.edge_mm >= 0, f"edge-mm cannot be negative ({self.edge_mm:g}).")
+        require(self.iterations >= 0, f"iterations cannot be negative ({self.iterations}).")
+        require(self.resolution >= 64, f"resolution must be at least 64 pixels, not {self.resolution}.")
+        require(self.samples >= 1, f"samples must be at least 1, not {self.samples}.")
+        require(self.max_faces >= 1000, f"max-faces must be at least 1000, not {self.max_faces}.")
+        require(self.learning_rate > 0, f"learning-rate must be positive, not {self.learning_rate:g}.")
+        require(self.smoothing >= 0, f"smoothing cannot be negative ({self.smoothing:g}).")
+        require(self.gradient_floor >= 0, f"gradient-floor cannot be negative ({self.gradient_floor:g}).")
+        require(self.stress_weight >= 0, f"stress-weight cannot be negative ({self.stress_weight:g}): see --no-stress.")
+        require(self.stress_every >= 1, f"stress-every must be at least 1, not {self.stress_every}.")
+        require(0 <= self.stage_one_share <= 1, f"stage-one-share must be 0 to 1, not {self.stage_one_share:g}.")
+        require(all(0 <= x <= 180 for x in self.view_jitter), f"view-jitter must be 0 to 180, not {self.view_jitter}.")
+        require(0 <= self.light_jitter <= 180, f"light-jitter must be 0 to 180, not {self.light_jitter:g}.")
+
+    @property
+    def networks(self) -> tuple[Literal["alex", "vgg"], ...]:
+        """The LPIPS networks to score with."""
+        return ("alex", "vgg") if self.score_vgg else ("alex",)
+
+    @property
+    def mesh_edge_mm(self) -> float:
+        """Edge length to mesh with. At the nozzle's width the mesh itself holds no relief that is finer than a line and
+        a gap of the nozzle; and what is finer than a pixel has no gradient."""
+        return self.edge_mm or max(self.nozzle_mm, 1.2 * self.size_mm / self.resolution)
+
+    def to_dict(self) -> dict:
+        """Plain types only, as written to ``config.yaml``."""
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
+
+    @classmethod
+    def from_dict(cls, data: dict) -> RefineConfig:
+        """The inverse of :meth:`to_dict`. Raises :class:`ConfigError` for an unknown setting."""
+        weights = data.get("weights") if isinstance(data.get("weights"), dict) else {}
+        unknown = (set(data) - {f.name for f in fields(cls)}) | (set(weights) - {f.name for f in fields(Weights)})
+        if unknown:
+            raise ConfigError(f"unknown setting {', '.join(sorted(unknown))}: was the file written by another version?")
+        data = {k: tuple(v) if isinstance(v, list) else v for k, v in data.items()}
+        return cls(**data | ({"weights": Weights(**weights)} if weights else {}))
+
+
+PRESETS: dict[str, RefineConfig] = {
+    "draft": RefineConfig(iterations=40, resolution=256, max_faces=32_000, score_vgg=False, stress=False),
+    "default": RefineConfig(),
+    "paper": RefineConfig(iterations=1000, resolution=512, max_faces=300_000, weights=Weights(depth_smoothness=1.0)),
+}

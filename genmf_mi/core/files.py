@@ -1,0 +1,79 @@
+"""Output folders and files: claimed before work begins, and written so that no half of a file is ever left."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import NamedTemporaryFile
+
+from genmf_mi.core.errors import OutputError
+
+
+def claim_folder(
+    folder: str | Path,
+    what: str,
+    *,
+    finished: Sequence[str],
+    interrupted: Sequence[str] = (),
+    force: bool = False,
+    resume: bool = False,
+) -> None:
+    """Make sure that new results may be written into ``folder``, or that it holds something to resume.
+
+    Args:
+        what: the name of the work in messages, such as ``run`` or ``training``.
+        finished: file names any of which marks a finished result; interrupted: likewise for an unfinished one.
+        force: replace what is there.
+        resume: continue what is unfinished.
+
+    Raises:
+        OutputError: the folder cannot be read or made; it holds a result and ``force`` is not given; or there is
+            nothing to resume.
+    """
+    folder = Path(folder)
+    try:
+        unfinished, complete = (any((folder / name).exists() for name in names) for names in (interrupted, finished))
+        if resume:
+            if not unfinished:
+                raise OutputError(f"{folder} holds no interrupted {what}. Start one without --resume.")
+            return
+        if (unfinished or complete) and not force:
+            state, hint = ("an interrupted", " --resume to continue it,") if unfinished else ("a finished", "")
+            raise OutputError(f"{folder} holds {state} {what}. Use{hint} --force to replace it, or another --out.")
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot write to {folder}: {error.strerror}. Choose another --out.") from error
+
+
+@contextmanager
+def atomic(path: str | Path) -> Iterator[Path]:
+    """Yield a temporary path beside ``path`` with the same suffix; it replaces ``path`` when the block ends well.
+
+    On any exception the temporary file is removed and ``path`` stays as it was.
+
+    Raises:
+        OutputError: the folder cannot be written to, or the disk is full.
+    """
+    path = Path(path)
+    temporary = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with NamedTemporaryFile(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix, delete=False) as handle:
+            temporary = Path(handle.name)
+        yield temporary
+        temporary.chmod(0o644)
+        os.replace(temporary, path)
+    except OSError as error:
+        reason = str(error.strerror or error).rstrip(".")
+        raise OutputError(f"cannot write {path}: {reason}. Free some space or choose another --out.") from error
+    finally:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write ``text`` as UTF-8, whole or not at all. Raises :class:`OutputError`."""
+    with atomic(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")

@@ -1,0 +1,126 @@
+"""How far each vertex may move: the cap, thin walls, narrow gaps, tight bends, and feet that stay where they stand.
+
+Heights are taken along the normals of the initial surface. Neighbouring vertices then cannot run into each other as
+long as the height stays below the radius at which their normals meet, and opposite walls cannot meet as long as each
+leaves the other its half.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+BEND = 1.0
+"""Share of the radius of curvature that relief may use up."""
+SIDEWAYS = 0.5
+"""Share of the shortest edge at a vertex that it may move across its normal."""
+SLIM = 0.05
+"""Share of its width that relief may take from a limb: more shows in the outline, which the gradient does not see."""
+STANDING = 0.5
+"""Share of its height above the bed that a vertex may move. Whatever stands on the bed goes on standing on it, and
+nothing comes to lie below; a stress stage would lift all feet but one to be held less."""
+BASE_BAND = 0.005
+"""Faces within this share of the height from the lowest point, looking down, are the base."""
+
+
+def room(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    normals: np.ndarray,
+    cap: float,
+    wall: float,
+    gap: Callable[[np.ndarray, np.ndarray], np.ndarray],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Room inwards and outwards along the normal, and across it: three ``[V]``, between 0 and ``cap``.
+
+    vertices, normals ``[V,3]``, faces ``[F,3]``; ``cap`` and ``wall`` in the same unit: the largest relief, and the
+    wall thickness that must remain. gap: distance ``[N]`` along rays (points, directions ``[N,3]``) to the next
+    surface, inf if there is none.
+    """
+    converge_in, converge_out = bends(vertices, faces, normals)
+    inward = np.minimum(cap, BEND / np.maximum(converge_in, 1e-9))
+    outward = np.minimum(cap, BEND / np.maximum(converge_out, 1e-9))
+    # Each of two opposite walls may use less than half of what lies between them
+    through = gap(vertices, -normals)
+    inward = np.minimum(inward, 0.45 * np.maximum(through - wall, 0))
+    outward = np.minimum(outward, 0.3 * gap(vertices, normals))
+    slim = SLIM * lateral_thickness(vertices, normals, through, gap)
+    standing = STANDING * (vertices[:, 1] - vertices[:, 1].min())
+    inward, outward = (np.minimum(x, np.minimum(slim, standing)) for x in (inward, outward))
+    inward, outward = (_spread_minimum(x, faces) for x in (inward, outward))
+    pinned = base(vertices, faces)
+    inward[pinned] = outward[pinned] = 0
+    sideways = np.minimum(SIDEWAYS * _shortest_edge(vertices, faces), 0.5 * np.minimum(inward, outward))
+    # Together they must stay within the cap
+    upright = np.sqrt(cap**2 - sideways**2)
+    return np.minimum(inward, upright), np.minimum(outward, upright), sideways
+
+
+def bends(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Largest curvature along the edges at each vertex, for moving inwards (convex bends) and outwards (hollows): two
+    ``[V]``."""
+    i, j = faces[:, [0, 1, 2]].ravel(), faces[:, [1, 2, 0]].ravel()
+    along = vertices[j] - vertices[i]
+    curvature = np.einsum("nk,nk->n", normals[j] - normals[i], along) / np.maximum((along**2).sum(axis=1), 1e-20)
+    convex, hollow = np.zeros(len(vertices)), np.zeros(len(vertices))
+    for end in (i, j):
+        np.maximum.at(convex, end, curvature)
+        np.maximum.at(hollow, end, -curvature)
+    return convex, hollow
+
+
+def lateral_thickness(
+    vertices: np.ndarray,
+    normals: np.ndarray,
+    through: np.ndarray,
+    gap: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    directions: int = 4,
+) -> np.ndarray:
+    """How wide the body is behind each vertex, ``[V]``: the shortest way right through it, parallel to the surface.
+
+    Measured half-way to the opposite wall, ``through [V]`` away, along ``directions`` lines. A leg or a handle is as
+    wide as it is thick; a plate or the wall of a cup is thin but wide.
+    """
+    middle = vertices - 0.5 * np.where(np.isfinite(through), through, 0.0)[:, None] * normals
+    helper = np.eye(3)[np.abs(normals).argmin(axis=1)]
+    across = np.cross(normals, helper)
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-20)
+    other = np.cross(normals, across)
+    width = np.full(len(vertices), np.inf)
+    for angle in np.arange(directions) * np.pi / directions:
+        along = np.cos(angle) * across + np.sin(angle) * other
+        width = np.minimum(width, gap(middle, along) + gap(middle, -along))
+    return width
+
+
+def base(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Indices of the vertices of the flat base, y up; empty if the object stands on less than 2 % of its outline."""
+    corner = vertices[faces]
+    cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    area = np.linalg.norm(cross, axis=1) / 2
+    down = -cross[:, 1] / np.maximum(2 * area, 1e-20)
+    low, high = vertices[:, 1].min(), vertices[:, 1].max()
+    flat = (down > 0.98) & (corner[:, :, 1].max(axis=1) < low + BASE_BAND * (high - low))
+    outline = np.prod(np.ptp(vertices[:, [0, 2]], axis=0))
+    return np.unique(faces[flat]) if area[flat].sum() > 0.02 * outline else np.empty(0, np.int64)
+
+
+def _shortest_edge(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """``[V]`` length of the shortest edge at each vertex."""
+    shortest = np.full(len(vertices), np.inf)
+    for a, b in ((0, 1), (1, 2), (2, 0)):
+        length = np.linalg.norm(vertices[faces[:, a]] - vertices[faces[:, b]], axis=1)
+        np.minimum.at(shortest, faces[:, a], length)
+        np.minimum.at(shortest, faces[:, b], length)
+    return shortest
+
+
+def _spread_minimum(x: np.ndarray, faces: np.ndarray, rounds: int = 2) -> np.ndarray:
+    """The minimum over neighbours, ``rounds`` times: a tight spot limits its surroundings too."""
+    for _ in range(rounds):
+        lowest = x[faces].min(axis=1)
+        x = x.copy()
+        for k in range(3):
+            np.minimum.at(x, faces[:, k], lowest)
+    return x

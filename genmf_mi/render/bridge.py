@@ -1,0 +1,196 @@
+"""torch ⇄ Mitsuba: the only module in which tensors change hands.
+
+``dr.wrap`` joins the two automatic differentiations, so that a loss computed in torch reaches the vertices through
+Mitsuba's own adjoint, on the CPU and on the GPU alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from genmf_mi.core.errors import OutputError
+from genmf_mi.render import variant
+from genmf_mi.render.scene import Scene, View
+
+
+@dataclass(frozen=True)
+class Buffers:
+    """What one or more views show; float32 torch tensors, 0 outside of the object.
+
+    grey: ``[B,1,H,W]`` G, linear, 0..1.
+    depth: ``[B,1,H,W]`` planar depth in normalised units; None if the scene renders without geometry buffers.
+    normal: ``[B,3,H,W]`` shading normal in the world frame, likewise.
+    coverage: ``[B,1,H,W]`` share of the pixel that the object fills, likewise.
+    """
+
+    grey: object
+    depth: object
+    normal: object
+    coverage: object
+
+    def crop(self, window: tuple[slice, slice]) -> Buffers:
+        """The rows and columns of ``window``."""
+        rows, columns = window
+        return Buffers(
+            *(None if x is None else x[..., rows, columns] for x in (self.grey, self.depth, self.normal, self.coverage))
+        )
+
+
+def render(
+    scene: Scene, views: Sequence[View], vertices=None, faces=None, *, seed: int = 0, samples: int = 0
+) -> Buffers:
+    """Render ``views`` of the object, differentiably with respect to ``vertices``.
+
+    vertices: torch ``[V,3]`` in the normalised frame, or None to leave the object where it is. The acceleration
+        structure is rebuilt once for all views of the call.
+    faces: torch ``[F,3]`` between these vertices, of any number; None if they are those of the last render, or those
+        that the scene was loaded with.
+    seed: of the samples within the pixels; the same seed gives the same rays, for any geometry.
+    samples: per pixel; the scene's own number if 0.
+
+    The derivatives of the images can be propagated once, and before the object is moved again: Mitsuba evaluates
+    parts of them only then, on the object as it stands. Otherwise the backward pass raises RuntimeError.
+    """
+    import drjit as dr
+    import mitsuba as mi
+    import torch
+
+    key = variant.vertex_key(scene.shape_id)
+
+    def look_and_render(draw):
+        images = []
+        for view in views:
+            scene.look(view)
+            images.append(draw(scene.scene, scene.sensor, seed, samples))
+        return images
+
+    @dr.wrap(source="torch", target="drjit")
+    def render_moved(positions):
+        if corners is not None:
+            scene.params[variant.face_key(scene.shape_id)] = corners
+        scene.params[key] = positions.array
+        scene.params.update()
+        return look_and_render(scene.integrator.render_attached)
+
+    corners = None if faces is None else mi.UInt32(faces.to(torch.int32).contiguous().flatten())
+    images = (
+        render_moved(vertices)
+        if vertices is not None
+        else [image.torch() for image in look_and_render(scene.integrator.render)]
+    )
+    stack = torch.stack([image.permute(2, 0, 1) for image in images])
+    if vertices is not None:
+        scene.moves += 1
+        if stack.requires_grad:
+            stack.register_hook(_only_once(scene))
+    if stack.shape[1] == 1:
+        return Buffers(stack, None, None, None)
+    return Buffers(stack[:, :1], stack[:, 1:2], stack[:, 2:5], stack[:, 5:6])
+
+
+def _only_once(scene: Scene):
+    move = scene.moves
+
+    def check(_gradient) -> None:
+        if scene.moves != move:
+            raise RuntimeError(
+                "the derivatives of this image are gone: the object was moved since it was rendered, or they "
+                "were propagated before. Render it again, and propagate them at once."
+            )
+        scene.moves += 1
+
+    return check
+
+
+def free_ray_distance(scene, points: np.ndarray, directions: np.ndarray, offset: float = 1e-4) -> np.ndarray:
+    """Distance ``[N]`` from points on the surface to the next surface along unit directions, inf if there is none.
+
+    scene: of Mitsuba. points, directions ``[N,3]``. offset: skipped at the start, to leave the surface that the ray
+    starts on.
+    """
+    import mitsuba as mi
+
+    start = np.asarray(points + offset * directions, dtype=np.float32)
+    ray = mi.Ray3f(mi.Point3f(*start.T), mi.Vector3f(*np.asarray(directions, dtype=np.float32).T))
+    return np.array(scene.ray_intersect_preliminary(ray).t, dtype=np.float64) + offset
+
+
+def thickness(vertices: np.ndarray, faces: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """How far rays from the middles of the ``chosen [N]`` faces run inside the solid, against the normal: ``[N]``."""
+    import mitsuba as mi
+
+    if mi.variant() not in (variant.CPU, variant.CUDA):  # a refinement stays on the device that it was given
+        variant.use("auto")
+    mesh = mi.Mesh("solid", len(vertices), len(faces))
+    params = mi.traverse(mesh)
+    params["vertex_positions"] = np.asarray(vertices, dtype=np.float32).ravel()
+    params["faces"] = np.asarray(faces, dtype=np.uint32).ravel()
+    params.update()
+    corner = vertices[faces[chosen]]
+    normals = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    offset = 1e-4 * np.ptp(vertices, axis=0).max()
+    return free_ray_distance(mi.load_dict({"type": "scene", "solid": mesh}), corner.mean(axis=1), -normals, offset)
+
+
+def picture_of(scene: Scene, views: Sequence[View], faces: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """``[B,H,W]`` per-vertex ``values [V]`` on the surface as it stands, at the pixel centres; NaN where nothing is
+    hit."""
+    import mitsuba as mi
+
+    n = scene.resolution
+    centres = (np.arange(n, dtype=np.float32) + 0.5) / n
+    x, y = (mi.Float(a.ravel()) for a in np.meshgrid(centres, centres))
+    pictures = []
+    for view in views:
+        scene.look(view)
+        ray, _ = scene.sensor.sample_ray(0, 0, mi.Point2f(x, y), mi.Point2f(0))
+        hit = scene.scene.ray_intersect_preliminary(ray)
+        found = np.array(hit.is_valid()).astype(bool)
+        u, v = (np.array(c) for c in hit.prim_uv)
+        corners = values[faces[np.where(found, np.array(hit.prim_index), 0)]]
+        blend = (corners * np.stack([1 - u - v, u, v], axis=1)).sum(axis=1)
+        pictures.append(np.where(found, blend, np.nan).reshape(n, n))
+    return np.stack(pictures)
+
+
+def write_ply(
+    path: str | Path,
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    *,
+    normals: np.ndarray | None = None,
+    attributes: dict[str, np.ndarray] | None = None,
+) -> np.ndarray:
+    """Write the PLY file that a scene is loaded around; returns its vertex normals ``[V,3]``.
+
+    vertices ``[V,3]`` in the normalised frame, faces ``[F,3]``; normals ``[V,3]``, or None for Mitsuba's
+    angle-weighted ones;
+    attributes: one value per vertex ``[V]`` by name (``vertex_...``).
+
+    Raises:
+        OutputError: the disk is full, or the folder is not there.
+    """
+    import mitsuba as mi
+
+    attributes = attributes or {}
+    mesh = mi.Mesh(Path(path).stem, len(vertices), len(faces), has_vertex_normals=True)
+    for name, values in attributes.items():
+        mesh.add_attribute(name, 1, np.asarray(values, dtype=np.float32).ravel())
+    params = mi.traverse(mesh)
+    params["vertex_positions"] = np.asarray(vertices, dtype=np.float32).ravel()
+    params["faces"] = np.asarray(faces, dtype=np.uint32).ravel()
+    params.update()
+    if normals is not None:
+        params["vertex_normals"] = np.asarray(normals, dtype=np.float32).ravel()
+        params.update()
+    try:
+        mesh.write_ply(str(path))
+    except RuntimeError as error:
+        reason = str(error).rpartition(": ")[2]
+        raise OutputError(f"cannot write {path}: {reason}. Free some space, or point TMPDIR elsewhere.") from error
+    return np.array(params["vertex_normals"]).reshape(-1, 3)

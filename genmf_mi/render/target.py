@@ -1,0 +1,194 @@
+"""What the part should look like: reference images of the textured object, and the teacher's depth and normal.
+
+The reference is rendered from the *initial* surface with the object's albedo on it, under the same lights, at the
+same rays as the
+part: an object of one colour is its own target to about 1e-6. G_gt is the HSV value of the textured object in
+linear light; the lights are grey, so it is max(R, G, B) of the linear albedo times the shading.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from genmf_mi.core.colour import to_linear, value
+from genmf_mi.core.errors import AssetError, ConfigError
+from genmf_mi.render import bridge
+from genmf_mi.render import scene as scenes
+from genmf_mi.render.scene import Scene, View
+
+ALBEDO, RED, GREEN, BLUE = "vertex_albedo", "vertex_red", "vertex_green", "vertex_blue"
+FILE = "reference.ply"
+FINEST = 700_000
+"""The reference mesh is the part's mesh with every triangle split into four as often as this many faces allow, to hold
+the texture more finely than the part itself."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A given image of the object, to be matched instead of its texture.
+
+    view: where its camera stood. rgba: ``[h,w,4]`` linear RGB and coverage, 0..1.
+    """
+
+    view: View
+    rgba: np.ndarray
+
+    def fitted(self, mask: np.ndarray) -> np.ndarray:
+        """``[H,W,4]``: the picture moved and scaled so that its outline fills the bounding box of ``mask [H,W]``; its
+        colour is multiplied by its coverage."""
+        from skimage.transform import resize
+
+        (top, bottom), (left, right) = _extent(mask), _extent(mask.T)
+        rows, columns = (slice(*_extent(a)) for a in (self.rgba[..., 3], self.rgba[..., 3].T))
+        fitted = np.zeros((*mask.shape, 4), np.float32)
+        cut = self.rgba[rows, columns].copy()
+        cut[..., :3] *= cut[..., 3:]
+        fitted[top:bottom, left:right] = resize(cut, (bottom - top, right - left, 4), order=1, anti_aliasing=True)
+        return fitted
+
+
+@dataclass
+class Reference:
+    """The textured object, ready to be looked at from anywhere.
+
+    scene: around the subdivided initial mesh with its albedo as a vertex attribute.
+    pictures: given images; from their views they replace the textured object.
+    """
+
+    scene: Scene
+    pictures: tuple[Picture, ...] = ()
+
+    @property
+    def views(self) -> tuple[View, ...]:
+        """The views of the pictures, or else the scene's own."""
+        return tuple(p.view for p in self.pictures) or self.scene.views
+
+    def look(self, views: Sequence[View], seed: int = 0, samples: int = 0) -> bridge.Buffers:
+        """G_gt in ``grey``, D_t in ``depth``, N_t in ``normal``, the mask in ``coverage``; see
+        :class:`bridge.Buffers`."""
+        import torch
+
+        buffers = bridge.render(self.scene, views, seed=seed, samples=samples)
+        for i, fitted in self._fitted(views, buffers):
+            buffers.grey[i, 0] = torch.as_tensor(value(fitted[..., :3])).to(buffers.grey)
+            buffers.coverage[i, 0] = torch.as_tensor(fitted[..., 3]).to(buffers.coverage)
+        return buffers
+
+    def colour(self, views: Sequence[View], seed: int = 0, samples: int = 0) -> np.ndarray:
+        """``[B,H,W,3]`` linear RGB of the textured object under the two lights."""
+        image = np.stack([self._channel(name, views, seed, samples) for name in (RED, GREEN, BLUE)], axis=-1)
+        for i, fitted in self._fitted(views, bridge.render(self.scene, views, seed=seed, samples=samples)):
+            image[i] = fitted[..., :3]
+        return image
+
+    def _fitted(self, views: Sequence[View], buffers: bridge.Buffers) -> Iterator[tuple[int, np.ndarray]]:
+        """Index and fitted image of those views that have a picture, 0 outside of the outline of either."""
+        for i, view in enumerate(views):
+            for picture in self.pictures:
+                if picture.view == view:
+                    coverage = buffers.coverage[i, 0].cpu().numpy()
+                    yield i, picture.fitted(coverage) * coverage[..., None]
+
+    def _channel(self, attribute: str, views: Sequence[View], seed: int, samples: int) -> np.ndarray:
+        before, self.scene.bsdf.attribute = self.scene.bsdf.attribute, attribute
+        try:
+            return bridge.render(self.scene, views, seed=seed, samples=samples).grey[:, 0].cpu().numpy()
+        finally:
+            self.scene.bsdf.attribute = before
+
+
+def read_picture(text: str) -> Picture:
+    """``image.png@azimuth,elevation`` to a picture; without transparency the colour of its corners is the background.
+
+    Raises:
+        ConfigError: not of that form. AssetError: no readable image, or nothing in it.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    path, _, angles = text.rpartition("@")
+    try:
+        view = View.parse(angles, ",")
+    except ValueError as error:
+        raise ConfigError(f"write a reference as image.png@azimuth,elevation in degrees, not {text!r}.") from error
+    try:
+        with Image.open(path) as image:
+            pixels = np.asarray(image.convert("RGBA"), dtype=np.float32) / 255
+    except (OSError, UnidentifiedImageError) as error:
+        raise AssetError(f"cannot read the reference image {path}: {error}.") from error
+    coverage = pixels[..., 3]
+    if coverage.min() > 0.99:
+        corners = pixels[[0, 0, -1, -1], [0, -1, 0, -1], :3]
+        coverage = (np.abs(pixels[..., :3] - np.median(corners, axis=0)).max(axis=-1) > 0.05).astype(np.float32)
+    if (coverage > 0.5).sum() < 16:
+        raise AssetError(
+            f"the reference image {path} is empty: everything in it is transparent or of the background's colour."
+        )
+    return Picture(view, np.concatenate([to_linear(pixels[..., :3]).astype(np.float32), coverage[..., None]], axis=-1))
+
+
+def _extent(mask: np.ndarray) -> tuple[int, int]:
+    rows = np.flatnonzero((mask > 0.5).any(axis=1))
+    return int(rows[0]), int(rows[-1]) + 1
+
+
+def subdivide(faces: np.ndarray, *fields: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Split every triangle into four at its edge midpoints: the new faces ``[4F,3]``, then every field ``[V,...]`` on
+    the old and the new vertices."""
+    count = len(fields[0])
+    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    keys, inverse = np.unique(edges[:, 0] * np.int64(count) + edges[:, 1], return_inverse=True)
+    ends = np.stack([keys // count, keys % count], axis=1)
+    (a, b, c), (ab, bc, ca) = faces.T, (count + inverse.reshape(-1, 3)).T
+    split = np.concatenate([np.stack(t, axis=1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
+    return split, *(np.concatenate([x, x[ends].mean(axis=1)]) for x in fields)
+
+
+def make(
+    xml: Path,
+    folder: Path,
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    normals: np.ndarray,
+    albedo,
+    *,
+    radius: float,
+    resolution: int | None = None,
+    samples: int | None = None,
+    pictures: tuple[Picture, ...] = (),
+) -> Reference:
+    """Build the reference from the initial mesh.
+
+    vertices, normals: ``[V,3]`` normalised frame, as the part is rendered before refinement; faces ``[F,3]``.
+    albedo: function from points ``[N,3]`` and normals ``[N,3]`` (normalised frame) to linear RGB ``[N,3]``.
+    """
+    while 4 * len(faces) <= FINEST:
+        faces, vertices, normals = subdivide(faces, vertices, normals)
+    rgb = albedo(vertices, normals)
+    bridge.write_ply(
+        folder / FILE,
+        vertices,
+        faces,
+        normals=normals,
+        attributes={ALBEDO: value(rgb), RED: rgb[:, 0], GREEN: rgb[:, 1], BLUE: rgb[:, 2]},
+    )
+    return load(xml, folder, radius=radius, resolution=resolution, samples=samples, pictures=pictures)
+
+
+def load(
+    xml: Path,
+    folder: Path,
+    *,
+    radius: float,
+    resolution: int | None = None,
+    samples: int | None = None,
+    pictures: tuple[Picture, ...] = (),
+) -> Reference:
+    """The reference that :func:`make` left in ``folder``, at another resolution."""
+    return Reference(
+        scenes.load(xml, folder / FILE, radius=radius, resolution=resolution, samples=samples, attribute=ALBEDO),
+        pictures,
+    )

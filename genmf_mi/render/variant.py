@@ -1,0 +1,93 @@
+"""The one place that picks the Mitsuba variant and names the scene parameters.
+
+Dr.Jit needs LLVM as a shared library. With LLVM 14 to 16 it aborts the process at the first real kernel and raises
+nothing, so the version is checked before anything is rendered.
+"""
+
+from __future__ import annotations
+
+from genmf_mi.core.errors import ConfigError, SetupError
+
+CPU, CUDA = "llvm_ad_mono", "cuda_ad_mono"
+OLDEST_LLVM = (17, 0, 0)
+INSTALL_LLVM = "install LLVM 17 or newer, e.g. `sudo apt-get install libllvm19`"
+
+
+# Keys under which `mi.traverse` exposes what the refinement changes; mitsuba 3.10 renames the mesh parameters.
+def vertex_key(shape_id: str) -> str:
+    return f"{shape_id}.vertex_positions"
+
+
+def shape_key(holds: str, shape_id: str) -> str:
+    """What says how the shape is, a ``mesh`` or a ``grid``."""
+    return vertex_key(shape_id) if holds == "mesh" else f"{shape_id}.grid"
+
+
+def face_key(shape_id: str) -> str:
+    return f"{shape_id}.faces"
+
+
+def light_keys(shape_id: str) -> tuple[str, str]:
+    return f"{shape_id}.bsdf.key", f"{shape_id}.bsdf.fill"
+
+
+def sensor_key(sensor_id: str) -> str:
+    return f"{sensor_id}.to_world"
+
+
+def llvm_version() -> tuple[int, int, int] | None:
+    """Version of the LLVM library that Dr.Jit found, or None. Safe to call with any LLVM."""
+    import drjit
+
+    try:
+        version = drjit.detail.llvm_version()
+    except Exception:  # Dr.Jit raises a plain RuntimeError without LLVM
+        return None
+    return tuple(version) if min(version) >= 0 else None  # (-1, -1, -1) without a library that it can use
+
+
+def cuda_available() -> bool:
+    """Whether Dr.Jit and torch both see a CUDA device."""
+    import drjit
+    import torch
+
+    return torch.cuda.is_available() and drjit.has_backend(drjit.JitBackend.CUDA)
+
+
+def use(device: str = "auto") -> str:
+    """Activate the variant for ``device`` (``auto``, ``cpu`` or ``cuda``), register the plugins, return torch's
+    device name.
+
+    Raises:
+        ConfigError: an unknown device.
+        SetupError: no usable LLVM, or no CUDA device.
+    """
+    if device not in ("auto", "cpu", "cuda"):
+        raise ConfigError(f"device must be auto, cpu or cuda, not {device!r}.")
+    if device == "cuda" and not cuda_available():
+        raise SetupError(
+            "no CUDA device is visible to both torch and Dr.Jit. Use --device cpu, or see `genmf-mi doctor`."
+        )
+    if device == "auto":
+        device = "cuda" if cuda_available() else "cpu"
+    if device == "cpu":
+        version = llvm_version()
+        if version is None or version < OLDEST_LLVM:
+            found = (
+                "no LLVM library" if version is None else f"LLVM {'.'.join(map(str, version))}, which Dr.Jit cannot use"
+            )
+            raise SetupError(f"found {found}: {INSTALL_LLVM}, or point DRJIT_LIBLLVM_PATH to a newer libLLVM.so.")
+
+    if device == "cuda":
+        import torch
+
+        torch.backends.cudnn.allow_tf32 = False  # LPIPS would lose three digits
+
+    import mitsuba as mi
+
+    variant = CUDA if device == "cuda" else CPU
+    if mi.variant() != variant:
+        mi.set_variant(variant)
+    import genmf_mi.plugins  # noqa: F401  (registers the plugins)
+
+    return device

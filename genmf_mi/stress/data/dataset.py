@@ -1,0 +1,278 @@
+"""Training samples in a folder: many single-thread processes, one file per sample, an index that survives a kill.
+
+``settings.json``  what the samples have in common; a folder holds samples of one kind only.
+``index.jsonl``    one line per sample that is finished or has failed, in the order of finishing.
+``samples/``       one npz per sample, written before its line.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+import multiprocessing
+import os
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from multiprocessing.connection import wait
+from pathlib import Path
+
+import numpy as np
+
+from genmf_mi.core.errors import ConfigError, GenmfError, OutputError
+from genmf_mi.core.files import atomic, write_text
+from genmf_mi.stress.fem.simulation import Settings
+
+MESHES = (".ply", ".glb", ".gltf", ".obj", ".stl", ".off", ".3mf")
+FORMAT = 2
+"""Raised when samples of an older program would not fit those of a newer one."""
+_THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class DatasetSettings:
+    """What all samples of a folder share.
+
+    sources: mesh files by name. same: names of files that show another file's shape, to the name of that one, so that
+    both stay on one side of the split.
+    """
+
+    simulation: Settings = field(default_factory=Settings)
+    seed: int = 0
+    sources: dict[str, Path] = field(default_factory=dict)
+    same: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if (self.simulation.grid - 1) % 4:
+            raise ConfigError(f"grid must be a multiple of four, plus one (65, 129), not {self.simulation.grid}.")
+        if self.seed < 0:
+            raise ConfigError(f"seed must not be negative: {self.seed}.")
+
+    def record(self) -> dict:
+        """What is compared before samples are added to a folder. Files count by content, not by place."""
+        digests = {n: hashlib.sha256(Path(p).read_bytes()).hexdigest()[:16] for n, p in sorted(self.sources.items())}
+        return {
+            "format": FORMAT,
+            "simulation": asdict(self.simulation),
+            "seed": self.seed,
+            "sources": digests,
+            "same": self.same,
+        }
+
+
+@dataclass(frozen=True)
+class Tally:
+    """finished and failed: samples in the folder. made: of these, how many this run added."""
+
+    finished: int
+    failed: int
+    made: int
+
+
+def meshes_in(folders: list[Path]) -> dict[str, Path]:
+    """Mesh files of ``folders`` by name. Raises :class:`ConfigError` for a missing folder or two files of one name."""
+    found: dict[str, Path] = {}
+    for folder in folders:
+        if not folder.is_dir():
+            raise ConfigError(f"{folder} is not a folder; give folders that hold mesh files.")
+        for path in sorted(folder.iterdir()):
+            if path.suffix.lower() not in MESHES:
+                continue
+            if path.stem in found:
+                raise ConfigError(f"{path} and {found[path.stem]} have the same name; rename one of them.")
+            found[path.stem] = path.resolve()
+    return found
+
+
+def read_index(folder: Path) -> list[dict]:
+    """The lines of the index. A last line cut short by a crash is left out."""
+    path = folder / "index.jsonl"
+    if not path.exists():
+        return []
+    records = []
+    for line in path.read_text(encoding="utf-8").splitlines(keepends=True):
+        try:
+            records.append(json.loads(line))
+        except json.JSONDecodeError:
+            if line.endswith("\n"):
+                raise OutputError(f"{path} is damaged at record {len(records)}; restore it from a copy.") from None
+    return records
+
+
+def chosen(count: int, settings: DatasetSettings, splits: Collection[str] = ()) -> list[int]:
+    """Those of the samples 0 … count-1 that belong to ``splits``; all of them if none are named."""
+    from genmf_mi.stress.data.recipe import recipe
+
+    kind = (settings.seed, settings.sources, settings.same)
+    return [index for index in range(count) if not splits or recipe(index, *kind).split in splits]
+
+
+def build(
+    out: Path,
+    count: int,
+    settings: DatasetSettings,
+    workers: int = 1,
+    retry_failed: bool = False,
+    progress: Callable[[dict], None] | None = None,
+    splits: Collection[str] = (),
+) -> Tally:
+    """Make those of the samples 0 … count-1 that ``out`` does not hold yet and that are :func:`chosen`.
+
+    ``progress`` is called with each new record of the index.
+
+    Raises:
+        ConfigError: the folder holds samples of other settings, or another process is adding to it.
+        OutputError: a file cannot be written. What was finished stays, and the next run goes on from there.
+    """
+    if count < 1 or workers < 1:
+        raise ConfigError(f"count and workers must be at least 1, not {count} and {workers}.")
+    with _claimed(out):
+        _same_settings(out, settings)
+        records = [r for r in read_index(out) if not (retry_failed and "error" in r)]
+        write_text(out / "index.jsonl", "".join(json.dumps(r) + "\n" for r in records))
+        have = {r["index"] for r in records}
+        wanted = iter([i for i in chosen(count, settings, splits) if i not in have])
+        made = 0
+        with (out / "index.jsonl").open("a", encoding="utf-8") as index:
+            for record in _run(wanted, out, settings, workers):
+                index.write(json.dumps(record) + "\n")
+                index.flush()
+                os.fsync(index.fileno())
+                records.append(record)
+                made += 1
+                if progress is not None:
+                    progress(record)
+    failed = sum("error" in r for r in records)
+    return Tally(len(records) - failed, failed, made)
+
+
+def make(index: int, settings: DatasetSettings) -> tuple[dict[str, np.ndarray], dict]:
+    """The arrays and the record of one sample. Raises what a simulation raises."""
+    from genmf_mi.sdf import distance
+    from genmf_mi.stress.data import codec, recipe
+    from genmf_mi.stress.fem import simulation as fem
+    from genmf_mi.stress.fem import statistics
+
+    simulation = settings.simulation
+    what = recipe.recipe(index, settings.seed, settings.sources, settings.same)
+    laps = fem.Laps()
+    vertices, faces = recipe.surface_of(what, settings.seed, simulation.size_mm, simulation.grid)
+    laps("shape", 0.0)
+    layers, phi = codec.pack_distance(distance.signed_distance(vertices, faces, simulation.grid))
+    thin = distance.lost_fraction(vertices, faces, phi.astype(np.float32))
+    laps("distance", 0.0)
+    recipe.check_thin(what, thin)
+    frame = fem.frame_of(vertices, simulation.size_mm)
+    result = fem.simulate_distance(phi.astype(np.float32), frame, simulation, laps, thin)
+    recipe.check_whole(what, result.dropped, float(result.field.elements.volumes.sum()))
+    field_on_grid, filled = result.on_grid()
+    layers |= codec.pack_stress(field_on_grid, phi)
+    laps("grid", 1.0)
+    numbers = statistics.summary(result)
+    del numbers["settings"]
+    numbers["seconds"] = laps.seconds
+    record = {
+        "index": index,
+        "file": f"samples/{index:06d}.npz",
+        "shape": what.shape,
+        "family": what.family,
+        "split": what.split,
+        "relief_mm": what.relief,
+        "inside": int((phi <= 0).sum()),
+        "filled": filled,
+        **numbers,
+    }
+    return layers, record
+
+
+def _work(pipe, out: Path, settings: DatasetSettings) -> None:
+    """A worker: takes an index, answers with a record, until it is given None."""
+    while (index := pipe.recv()) is not None:
+        try:
+            layers, record = make(index, settings)
+            with atomic(out / "samples" / f"{index:06d}.npz") as temporary:
+                np.savez_compressed(temporary, meta=np.array(json.dumps(record)), **layers)
+            pipe.send(record)
+        except OutputError as error:
+            pipe.send(error)
+        except Exception as error:
+            kind = "" if isinstance(error, GenmfError) else f"{type(error).__name__}: "
+            pipe.send({"index": index, "error": f"{kind}{error}"})
+
+
+def _run(wanted: Iterator[int], out: Path, settings: DatasetSettings, workers: int) -> Iterator[dict]:
+    """Records of the ``wanted`` samples as they are finished. A worker that dies costs its sample, not the run."""
+    for name in _THREADS:
+        os.environ[name] = "1"
+    context = multiprocessing.get_context("spawn")
+    busy: dict = {}
+
+    def start() -> None:
+        index = next(wanted, None)
+        if index is None:
+            return
+        ours, theirs = context.Pipe()
+        process = context.Process(target=_work, args=(theirs, out, settings), daemon=True)
+        process.start()
+        theirs.close()
+        ours.send(index)
+        busy[ours] = (process, index)
+
+    try:
+        for _ in range(workers):
+            start()
+        while busy:
+            for pipe in wait(list(busy)):
+                process, index = busy.pop(pipe)
+                try:
+                    answer = pipe.recv()
+                except (EOFError, ConnectionError):
+                    process.join()
+                    yield {"index": index, "error": f"the worker died with exit code {process.exitcode}"}
+                    start()
+                    continue
+                if isinstance(answer, Exception):
+                    raise answer
+                following = next(wanted, None)
+                pipe.send(following)
+                if following is not None:
+                    busy[pipe] = (process, following)
+                yield answer
+    finally:
+        for process, _ in busy.values():
+            process.terminate()
+
+
+def _same_settings(out: Path, settings: DatasetSettings) -> None:
+    """Write the settings into an empty folder, or compare them with those that are there."""
+    path = out / "settings.json"
+    record = json.loads(json.dumps(settings.record()))
+    if not path.exists():
+        if (out / "index.jsonl").exists():
+            raise ConfigError(f"{out} has an index without settings; choose another --out.")
+        write_text(path, json.dumps(record, indent=2) + "\n")
+        return
+    there = json.loads(path.read_text(encoding="utf-8"))
+    different = [key for key in record if record[key] != there.get(key)]
+    if different:
+        raise ConfigError(
+            f"{out} holds samples made with other settings ({', '.join(different)} differ); "
+            "use those of its settings.json, or choose another --out."
+        )
+
+
+@contextmanager
+def _claimed(out: Path) -> Iterator[None]:
+    """Hold ``out`` for this process alone."""
+    try:
+        (out / "samples").mkdir(parents=True, exist_ok=True)
+        lock = (out / ".lock").open("w")
+    except OSError as error:
+        raise OutputError(f"cannot write to {out}: {error.strerror}. Choose another --out.") from error
+    with lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise ConfigError(f"another process is adding to {out}; wait for it or choose another --out.") from None
+        yield

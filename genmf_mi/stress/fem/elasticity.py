@@ -1,0 +1,129 @@
+"""Linear thermo-elasticity: div σ = 0 with σ = λ tr(ε) I + 2μ ε − β (T − T₀) I, β = (3λ + 2μ) α.
+
+The body stands on a *soft clamp*: nodal springs of stiffness κ w(z) per volume, κ = E/ℓ², ℓ = δ/2, over the lowest
+δ = ``clamp_fraction`` of its height. A rigid clamp is singular along its rim, where the maximum grows with every
+refinement.
+"""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import scipy.sparse as sp
+
+from genmf_mi.stress.fem.assembly import P1
+from genmf_mi.stress.fem.linear import solve_spd
+from genmf_mi.stress.fem.materials import Material
+
+TOLERANCE = 1e-6
+
+
+def soft_clamp(height, nodal_volume, modulus_mpa: float, fraction: float):
+    """Spring stiffness of each node in N/mm, ``[N]``; arrays or tensors.
+
+    w is 1 up to half of δ above the lowest node and falls to 0, smoothly, at 1.5 δ.
+
+    Args:
+        height: vertical coordinate of the nodes in mm, ``[N]``.
+        nodal_volume: mm³, ``[N]``.
+        fraction: δ as a fraction of the height of the body.
+    """
+    base = height.min()
+    extent = height.max() - base
+    profile = clamp_profile((height - base) / extent, fraction)
+    return modulus_mpa / (fraction * extent / 2) ** 2 * profile * nodal_volume
+
+
+def clamp_profile(height, fraction: float):
+    """w, 0..1, at ``height`` above the base as a fraction of that of the body; an array or a tensor."""
+    x = (height / fraction - 0.5).clip(0.0, 1.0)
+    return 1.0 - x * x * (3.0 - 2.0 * x)
+
+
+def rigid_motions(points: np.ndarray) -> np.ndarray:
+    """The six rigid body motions of ``points [N,3]`` as columns, ``[3N,6]``: what a multigrid must get right."""
+    x = points - points.mean(axis=0)
+    motions = np.zeros((len(x), 3, 6))
+    motions[:, :, :3] = np.eye(3)
+    for i in range(3):
+        motions[:, :, 3 + i] = np.cross(np.eye(3)[i], x)
+    return motions.reshape(-1, 6)
+
+
+def multigrid(matrix: sp.bsr_matrix, points: np.ndarray):
+    """Smoothed-aggregation multigrid (pyamg) for an elastic matrix in 3×3 blocks, as a preconditioner: one V-cycle.
+
+    pyamg builds the hierarchy; the cycle is ours because pyamg's measures two residuals more per call. On the finest
+    level the matrix is used without blocks, where a Gauss–Seidel sweep costs half as much.
+    """
+    import pyamg
+    from pyamg.relaxation.relaxation import gauss_seidel
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # pyamg warns of its own conversions between sparse formats
+        levels = pyamg.smoothed_aggregation_solver(
+            matrix,
+            B=rigid_motions(points),
+            strength=("symmetric", {"theta": 0.0}),
+            smooth=("jacobi", {"omega": 4 / 3}),
+            improve_candidates=None,
+            max_coarse=500,
+        ).levels
+    levels[0].A = matrix.tocsr()
+    coarsest = np.linalg.pinv(levels[-1].A.toarray(), hermitian=True)
+
+    def cycle(load: np.ndarray, depth: int = 0) -> np.ndarray:
+        if depth == len(levels) - 1:
+            return coarsest @ load
+        level = levels[depth]
+        solution = np.zeros_like(load)
+        gauss_seidel(level.A, solution, load, sweep="forward")
+        solution += level.P @ cycle(level.R @ (load - level.A @ solution), depth + 1)
+        gauss_seidel(level.A, solution, load, sweep="backward")
+        return solution
+
+    return sp.linalg.LinearOperator(matrix.shape, cycle, dtype=np.float64)
+
+
+class Equilibrium:
+    """The elastic equilibrium on one mesh, for as many loads as one likes.
+
+    spring: of each node in N/mm, ``[N]``.
+    """
+
+    def __init__(self, elements: P1, material: Material, spring: np.ndarray) -> None:
+        self.matrix = elements.elastic(*material.lame, spring)
+        self._preconditioner = multigrid(self.matrix, elements.mesh.points)
+
+    def solve(self, load: np.ndarray) -> tuple[np.ndarray, int]:
+        """Displacement in mm ``[N,3]`` under forces in N ``[N,3]``; CG iterations.
+
+        Raises:
+            SolveError: the solve did not converge.
+        """
+        what = "the elastic equilibrium"
+        solution, count = solve_spd(self.matrix, load.reshape(-1), self._preconditioner, TOLERANCE, what=what)
+        return solution.reshape(-1, 3), count
+
+
+def thermal_load(elements: P1, material: Material, excess_k: np.ndarray) -> np.ndarray:
+    """Forces in N ``[N,3]`` of the temperature excess over the stress-free one, ``[N]`` in K."""
+    cell_excess = excess_k[elements.mesh.cells].mean(axis=1)
+    return elements.divergence_load(material.thermal_modulus * cell_excess)
+
+
+def stress(elements: P1, material: Material, moved: np.ndarray, excess_k: np.ndarray) -> np.ndarray:
+    """σ in MPa in each cell, ``[T,3,3]``. The temperature is averaged over the cell, as ε is constant in it."""
+    lam, mu = material.lame
+    strain = elements.strain(moved)
+    excess = excess_k[elements.mesh.cells].mean(axis=1)
+    pressure = lam * np.trace(strain, axis1=1, axis2=2) - material.thermal_modulus * excess
+    return 2 * mu * strain + pressure[:, None, None] * np.eye(3)
+
+
+def von_mises(tensor: np.ndarray) -> np.ndarray:
+    """√(3/2 s:s) with s the deviator of ``tensor [...,3,3]``."""
+    mean = np.trace(tensor, axis1=-2, axis2=-1) / 3
+    deviator = tensor - mean[..., None, None] * np.eye(3)
+    return np.sqrt(1.5 * (deviator**2).sum(axis=(-2, -1)))

@@ -1,0 +1,164 @@
+"""Thermal stress by the trained network: from a mesh or Φ to the field in one call."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from genmf_mi.core.frame import Frame
+from genmf_mi.sdf import distance
+from genmf_mi.sdf.redistance import redistance
+from genmf_mi.stress.fem import tetrahedra
+from genmf_mi.stress.fem.coarse import coarse_stress
+from genmf_mi.stress.fem.simulation import Settings, frame_of
+from genmf_mi.stress.fem.statistics import SURFACE_BAND_MM
+from genmf_mi.stress.fem.tetrahedra import TetMesh
+from genmf_mi.stress.model import compute, domain, weights
+
+PACKAGED = Path(__file__).with_name("compact.safetensors")
+PACKAGED_SHA256 = "d6245629f5b1e2f0a46d60bb7e360b30bf2bfa76f584af845bf59f302996c294"
+THIN = 0.01
+"""Part of the surface under which a body may be thinner than two cells without a warning."""
+
+
+@dataclass(frozen=True)
+class NodalField:
+    """Von Mises in MPa at the nodes of a mesh, ``[N]``; ``mesh`` is in millimetres with z up."""
+
+    mesh: TetMesh
+    von_mises_nodes: np.ndarray
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """The predicted field of one shape; a :class:`genmf_mi.stress.fem.simulation.Simulation` to those that write or draw it.
+
+    phi, von_mises: float32 ``[n,n,n]``, the latter in MPa and zero outside. lost: see
+    :func:`distance.lost_fraction`. warnings: why not to trust it, a sentence each.
+    """
+
+    settings: Settings
+    frame: Frame
+    phi: np.ndarray
+    von_mises: np.ndarray
+    lost: float
+    warnings: list[str]
+
+    def on_grid(self) -> tuple[np.ndarray, int]:
+        """The field, and how many samples were filled in: none."""
+        return self.von_mises, 0
+
+    @cached_property
+    def mesh(self) -> TetMesh:
+        """The largest body as tetrahedra, in the normalised frame, so that the field can be drawn."""
+        return tetrahedra.largest_body(
+            tetrahedra.isosurface_stuffing(self.phi, self.settings.edge_mm / self.frame.mm_per_unit)
+        )[0]
+
+    @cached_property
+    def field(self) -> NodalField:
+        from scipy.ndimage import distance_transform_edt
+
+        # Nodes lie on the surface, where half of the samples about are outside
+        nearest = distance_transform_edt(self.phi > 0, return_distances=False, return_indices=True)
+        value = distance.sample(self.von_mises[tuple(nearest)], self.mesh.points)
+        return NodalField(self.mesh.moved(self.frame.to_print(self.mesh.points)), value)
+
+
+class Predictor:
+    """A trained network with what it was trained for.
+
+    Args:
+        file: weights from a training; those of the package if not given.
+        device: ``auto``, ``cpu`` or ``cuda``. precision: ``auto``, ``float32`` or ``bfloat16``.
+
+    Raises:
+        WeightsError: missing, damaged, or not the published ones. ConfigError: no such device.
+    """
+
+    def __init__(self, file: str | Path | None = None, device: str = "auto", precision: str = "auto") -> None:
+        if file is None:
+            network, about = weights.load(PACKAGED, preset="compact", sha256=PACKAGED_SHA256)
+        else:
+            network, about = weights.load(file)
+        self.device = compute.device_of(device)
+        self.network = network.to(self.device)
+        self.bfloat16 = compute.bfloat16_on(self.device, precision)
+        self.about = about
+        self.settings = weights.settings_of(about["simulation"])
+
+    def coarse(self, phi: Tensor) -> Tensor | None:
+        """Von Mises on a coarse mesh in MPa ``[1,n,n,n]`` for Φ of that shape, differentiable; None if the network does
+        not ask for it.
+
+        Raises:
+            SolveError: a solve did not converge.
+        """
+        edge = self.network.architecture.coarse_mm
+        return coarse_stress(phi, self.settings, edge) if edge else None
+
+    def field(self, phi: Tensor, box: tuple[slice, slice, slice] | None = None, coarse: Tensor | None = None) -> Tensor:
+        """Von Mises in MPa ``[1,n,n,n]`` for Φ of that shape; differentiable, see :func:`compute.stress`.
+
+        coarse: :meth:`coarse` of Φ, which is found if not given.
+        """
+        return compute.stress(self.network, phi, self.bfloat16, box, self.coarse(phi) if coarse is None else coarse)
+
+    def predict(self, vertices: np.ndarray, faces: np.ndarray) -> Prediction:
+        """The field of the solid that a surface encloses, as :func:`genmf_mi.stress.fem.simulation.simulate` would give it.
+
+        Args:
+            vertices: ``[V,3]``, file frame, y up; the longest side counts as ``settings.size_mm``.
+            faces: ``[F,3]``.
+
+        Raises:
+            SolidError: nothing enclosed, or not numbers.
+        """
+        frame = frame_of(np.asarray(vertices, dtype=np.float64), self.settings.size_mm)
+        inside = frame.normalise(vertices)
+        phi = distance.signed_distance(inside, faces, self.settings.grid)
+        return self.predict_distance(phi, frame, distance.lost_fraction(inside, faces, phi))
+
+    def predict_distance(self, phi: np.ndarray, frame: Frame, lost: float = 0.0) -> Prediction:
+        """The field of the body Φ < 0, ``phi [n,n,n]``; ``lost`` as by :func:`distance.lost_fraction`."""
+        field = torch.from_numpy(redistance(phi))[None]
+        with torch.no_grad():
+            stress = self.field(field)
+        warnings = domain.outside(field, self.about["training"].get("domain", {}))
+        if lost > THIN:
+            warnings.append(f"it is thinner than two grid cells under {lost:.0%} of its surface")
+        von_mises = torch.where(field <= 0, stress, 0.0)[0].numpy()
+        return Prediction(self.settings, frame, phi, von_mises, lost, warnings)
+
+
+def summary(prediction: Prediction) -> dict:
+    """As :func:`genmf_mi.stress.fem.statistics.summary`, as far as it is known; samples of the grid count alike."""
+    inside = prediction.phi <= 0
+    value, mm = prediction.von_mises[inside], prediction.frame.mm_per_unit
+    near = value[-prediction.phi[inside] * mm <= SURFACE_BAND_MM]
+    p50, p95, p99, p999 = (float(x) for x in np.percentile(value, (50, 95, 99, 99.9)))
+    cell = 2.0 / (prediction.phi.shape[0] - 1) * mm
+    return {
+        "von_mises_mpa": {
+            "mean": float(value.mean()),
+            "p50": p50,
+            "p95": p95,
+            "p99": p99,
+            "p99_9": p999,
+            "max": float(value.max()),
+        },
+        "surface_band": {
+            "depth_mm": SURFACE_BAND_MM,
+            "mean": float(near.mean()),
+            "p99_9": float(np.percentile(near, 99.9)),
+            "volume_fraction": len(near) / len(value),
+        },
+        "mesh": {"volume_mm3": len(value) * cell**3, "thin_fraction": prediction.lost},
+        "warnings": prediction.warnings,
+        "settings": asdict(prediction.settings),
+    }

@@ -1,0 +1,110 @@
+"""Trained networks as files: safetensors, with what they are and what they were trained on in the header.
+
+A file is good for one protocol only: what it was trained to predict is part of what it is.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+from genmf_mi.core.errors import GenmfError
+from genmf_mi.core.files import atomic
+from genmf_mi.stress.fem.protocol import Protocol
+from genmf_mi.stress.fem.simulation import Settings
+from genmf_mi.stress.model.network import Architecture, StressNetwork
+
+KEY, FORMAT = "genmf_mi_stress_network", 1
+"""All in one entry of the header: safetensors writes several in a random order, and the hash would change."""
+
+
+class WeightsError(GenmfError):
+    """A file of weights is missing, damaged, or of another network or protocol than the one that was asked for."""
+
+
+def save(path: str | Path, network: StressNetwork, preset: str, simulation: dict, training: dict) -> str:
+    """Write the weights as float16 and return the SHA-256 of the file.
+
+    Args:
+        simulation: settings of the samples (:class:`genmf_mi.stress.fem.simulation.Settings` as a dict).
+        training: anything else that is worth knowing; JSON.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    from safetensors.torch import save_file
+
+    about = {
+        "format": FORMAT,
+        "preset": preset,
+        "architecture": network.settings(),
+        "simulation": simulation,
+        "training": training,
+    }
+    tensors = {name: value.detach().cpu().half().contiguous() for name, value in network.state_dict().items()}
+    with atomic(path) as temporary:
+        save_file(tensors, temporary, {KEY: json.dumps(about, sort_keys=True)})
+    return digest(path)
+
+
+def load(
+    path: str | Path, *, preset: str | None = None, simulation: dict | None = None, sha256: str | None = None
+) -> tuple[StressNetwork, dict]:
+    """The network in a file, ready to predict on the CPU, and what :func:`save` was told about it.
+
+    Args:
+        preset, simulation, sha256: what the file must be of and hash to, where given.
+
+    Raises:
+        WeightsError: missing, damaged, truncated, of another preset or protocol, or not the file that was published.
+    """
+    from safetensors import SafetensorError, safe_open
+
+    path = Path(path)
+    if not path.is_file():
+        raise WeightsError(f"{path} does not exist; give weights that `genmf-mi stress train` wrote.")
+    if sha256 is not None and digest(path) != sha256:
+        raise WeightsError(f"{path} is not the file that was published (its SHA-256 differs); install it again.")
+    try:
+        with safe_open(path, framework="pt") as file:
+            header = file.metadata() or {}
+            tensors = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError) as error:
+        raise WeightsError(f"{path} is damaged or no file of weights ({error}); get it again.") from error
+    about = json.loads(header.get(KEY, "{}"))
+    if about.get("format") != FORMAT:
+        raise WeightsError(f"{path} holds no stress network that this program knows; train one again.")
+    if preset is not None and about["preset"] != preset:
+        raise WeightsError(f"{path} holds the network {about['preset']!r}, not {preset!r}; give the other one.")
+    if simulation is not None:
+        check_simulation(path, about["simulation"], simulation)
+    network = StressNetwork(Architecture(**about["architecture"]))
+    try:
+        network.load_state_dict(tensors)
+    except RuntimeError as error:
+        raise WeightsError(f"{path} does not fit its own description; get it again.") from error
+    return network.eval().requires_grad_(False), about
+
+
+def check_simulation(path: str | Path, there: dict, wanted: dict) -> None:
+    """Raises :class:`WeightsError` where two simulations differ in anything but the fineness of their mesh."""
+    flat = [
+        {**simulation, **simulation["protocol"], "protocol": None, "edge_mm": None} for simulation in (there, wanted)
+    ]
+    different = sorted(key for key in flat[0].keys() | flat[1].keys() if flat[0].get(key) != flat[1].get(key))
+    if different:
+        raise WeightsError(
+            f"{path} is for another simulation ({', '.join(different)} differ); use weights trained for this one."
+        )
+
+
+def digest(path: str | Path) -> str:
+    """SHA-256 of a file."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def settings_of(simulation: dict) -> Settings:
+    """The settings that a file's ``simulation`` describes."""
+    return Settings(**{**simulation, "protocol": Protocol(**simulation["protocol"])})

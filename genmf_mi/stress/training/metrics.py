@@ -1,0 +1,106 @@
+"""How well a predicted field agrees with a simulated one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from genmf_mi.stress.data.reader import StressSamples
+from genmf_mi.stress.model.network import to_target
+
+Predict = Callable[[Tensor], Tensor]
+"""Φ ``[1,X,Y,Z]`` to von Mises in MPa, likewise."""
+TOP = 0.05
+BAND = 0.076
+"""Depth of the surface band in normalised units: 4 mm of a part of 100 mm."""
+
+
+def masked_mse(predicted: Tensor, target: Tensor, phi: Tensor, tail: float = 0.0) -> Tensor:
+    """Weighted mean square difference where Φ ≤ 0, a scalar; all fields are of one shape, any.
+
+    A sample counts 1 + ``tail`` where its target is among the highest 5 % inside, else 1.
+    """
+    inside = phi <= 0
+    square, target = (predicted - target)[inside].square(), target[inside]
+    if tail == 0.0:
+        return square.mean()
+    weight = 1.0 + tail * (target >= target.topk(_top(len(target))).values[-1])
+    return (weight * square).sum() / weight.sum()
+
+
+def mean_absolute_error(predicted: Tensor, true: Tensor, phi: Tensor) -> float:
+    """In MPa, over the samples with Φ ≤ 0 of fields of one shape."""
+    inside = phi <= 0
+    return float((predicted[inside] - true[inside]).abs().mean())
+
+
+def top_iou(predicted: Tensor, true: Tensor, phi: Tensor) -> float:
+    """Intersection over union of the 5 % of the samples inside that are highest in the one field and in the other."""
+    inside = phi <= 0
+    count = _top(int(inside.sum()))
+    ours, theirs = (set(field[inside].topk(count).indices.tolist()) for field in (predicted, true))
+    return len(ours & theirs) / len(ours | theirs)
+
+
+def _top(count: int) -> int:
+    return max(1, round(TOP * count))
+
+
+def band_mean(stress: Tensor, phi: Tensor) -> float:
+    """Mean within 4 mm of the surface, in MPa."""
+    return float(stress[(phi <= 0) & (phi >= -BAND)].mean())
+
+
+@torch.no_grad()
+def score(predict: Predict, samples: StressSamples, progress: Callable[[int], None] | None = None) -> list[dict]:
+    """One row per sample: ``index, shape, family, relief``; ``loss``, :func:`masked_mse` of log(1 + σ/k); ``iou``; and
+    ``mae, mean, band, true_band`` in MPa, the last two within 4 mm of the surface."""
+    rows = []
+    for item, record in enumerate(samples.records):
+        phi, true = samples[item]
+        predicted = predict(phi)
+        rows.append(
+            {
+                **{key: record[key] for key in ("index", "shape", "family")},
+                "relief": record["relief_mm"] is not None,
+                "loss": float(masked_mse(to_target(predicted), to_target(true), phi)),
+                "mae": mean_absolute_error(predicted, true, phi),
+                "iou": top_iou(predicted, true, phi),
+                "mean": float(true[phi <= 0].mean()),
+                "band": band_mean(predicted, phi),
+                "true_band": band_mean(true, phi),
+            }
+        )
+        if progress is not None:
+            progress(item + 1)
+    return rows
+
+
+def summary(rows: list[dict]) -> dict[str, dict]:
+    """Means over all samples (``all``) and over those of each family.
+
+    ``relief`` is what steers a refinement: the correlation between the predicted and the true change of the surface
+    band, as log ratios, that relief makes to a shape; None where fewer than three shapes come with and without.
+    """
+    families = {"all": rows}
+    for row in rows:
+        families.setdefault(row["family"], []).append(row)
+    return {name: _means(members) for name, members in families.items()}
+
+
+def _means(rows: list[dict]) -> dict:
+    means = {key: float(np.mean([row[key] for row in rows])) for key in ("loss", "mae", "iou", "mean")}
+    pairs: dict[int, dict[bool, dict]] = {}
+    for row in rows:
+        pairs.setdefault(row["index"] // 2, {})[row["relief"]] = row
+    changes = [
+        [np.log(pair[True][key] / pair[False][key]) for key in ("band", "true_band")]
+        for pair in pairs.values()
+        if len(pair) == 2 and min(pair[True]["band"], pair[False]["band"]) > 0
+    ]
+    enough = len(changes) > 2 and np.ptp(changes, axis=0).min() > 0
+    relief = float(np.corrcoef(np.transpose(changes))[0, 1]) if enough else None
+    return {"samples": len(rows), **means, "relief": relief}
