@@ -14,12 +14,12 @@ from PIL import Image
 from toys import egg, painted
 
 from genmf_mi.cli import main as cli
+from genmf_mi.fabrication import files as fabricate
 from genmf_mi.losses import lpips_weights as weights
 from genmf_mi.losses import perceptual
 from genmf_mi.mesh import solid
 from genmf_mi.pipeline import displacement
 from genmf_mi.pipeline import evaluation as evaluate
-from genmf_mi.pipeline import fabrication as fabricate
 from genmf_mi.pipeline import problem as prepare
 from genmf_mi.render import scene, target, variant
 

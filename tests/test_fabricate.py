@@ -16,7 +16,7 @@ from genmf_mi.assets import asset
 from genmf_mi.core.colour import to_linear
 from genmf_mi.core.errors import OutputError
 from genmf_mi.core.frame import Frame
-from genmf_mi.pipeline import fabrication as fabricate
+from genmf_mi.fabrication import files as fabricate
 
 BALL = trimesh.creation.icosphere(subdivisions=3)
 

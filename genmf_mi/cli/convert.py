@@ -106,8 +106,8 @@ def _described(shape: SdfAsset) -> str:
 
 def _write_mesh(shape: SdfAsset, out: Path) -> str:
     from genmf_mi.core.files import atomic
+    from genmf_mi.fabrication import files as fabricate
     from genmf_mi.mesh import topology
-    from genmf_mi.pipeline import fabrication as fabricate
 
     mesh = shape.as_mesh()
     rgb = mesh.albedo.colours if shape.textured else None

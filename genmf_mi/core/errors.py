@@ -33,3 +33,7 @@ class OutputError(GenmfError):
 
 class SetupError(GenmfError):
     """The machine lacks something: LLVM, a variant of Mitsuba, the LPIPS weights."""
+
+
+class OptimisationError(GenmfError):
+    """The optimisation cannot go on: its loss is not a finite number any more."""

@@ -1,45 +1,59 @@
-"""Take relief back where it made the surface cut through itself."""
+"""Take relief back where it makes the surface cut through itself."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
-ROUNDS = 12
+from genmf_mi.geometry.parameterization import FindSelfIntersections
+
+HALVINGS = 6
+"""Rounds in which relief is halved about a self-intersection; after these it is taken back altogether, ever farther
+around."""
+WIDENINGS = 6
+"""Rounds with a doubled reach before all relief is given up."""
 REACH = 3
-"""Rings of neighbours that give way together with a crossing face."""
+"""Rings of neighbours that give way together with a face that cuts through another."""
 
 
-def untangle(
-    base: np.ndarray, faces: np.ndarray, offsets: np.ndarray, crossings: Callable[[np.ndarray, np.ndarray], np.ndarray]
-) -> tuple[np.ndarray, dict]:
-    """Scale ``offsets [V,3]`` down around faces that cross others in ``base + offsets`` but not in ``base``.
+def back_off(
+    vertices: np.ndarray, faces: np.ndarray, offsets: np.ndarray, find_self_intersections: FindSelfIntersections
+) -> tuple[np.ndarray, dict[str, Any]]:
+    """Scale ``offsets [V,3]`` down around faces that cut through others in ``vertices + offsets``, until these are no
+    more than ``vertices`` alone have.
 
-    crossings: from vertices and faces to the indices of crossing faces. Returns the offsets and a report with the
-    numbers of crossing faces before, at first and in the end. After half of the rounds the remaining spots are given
-    up and stay as they were.
+    Relief is halved at such a spot first, then taken back, and then taken back ever farther around it: the reach
+    doubles with every round. The worst case is the initial surface; the report says how much was taken back.
+
+    Returns:
+        The offsets, and a report: ``self_intersections_before`` (faces, of the initial surface), ``untangled`` (faces,
+        of the surface as given), ``vertices_held_back`` and ``relief_backed_off``, their share of all vertices.
     """
-    before = len(crossings(base, faces))
-    scale = np.ones(len(base))
-    first = None
-    for attempt in range(ROUNDS):
-        crossing = crossings(base + scale[:, None] * offsets, faces)
-        first = len(crossing) if first is None else first
-        if len(crossing) <= before:
+    before = len(find_self_intersections(vertices, faces))
+    scale, reach, first, attempt = np.ones(len(vertices)), REACH, 0, 0
+    while True:
+        intersecting = find_self_intersections(vertices + scale[:, None] * offsets, faces)
+        first = first if attempt else len(intersecting)
+        if len(intersecting) <= before:
             break
-        rings = _rings(faces, np.unique(faces[crossing]), REACH, len(base))
-        give_way = 0.5 if attempt < ROUNDS // 2 else 0.0
+        if attempt == HALVINGS + WIDENINGS:
+            scale[:] = 0
+            break
+        kept = 0.5 if attempt < HALVINGS else 0.0
+        rings = _rings(faces, np.unique(faces[intersecting]), reach, len(vertices))
         # The ring next to the spot gives way most, so that no new edge appears at its rim
-        for ring, vertices in enumerate(rings):
-            share = ring / (REACH + 1)
-            scale[vertices] *= give_way + (1 - give_way) * share
-    else:
-        crossing = crossings(base + scale[:, None] * offsets, faces)
-    if len(crossing) > before:
-        scale[:] = 0
-    report = {"self_intersections_before": before, "untangled": first, "vertices_held_back": int((scale < 1).sum())}
-    return scale[:, None] * offsets, report
+        for number, ring in enumerate(rings):
+            scale[ring] *= kept + (1 - kept) * number / (reach + 1)
+        attempt += 1
+        reach = REACH if attempt <= HALVINGS else 2 * reach
+    held_back = int((scale < 1).sum())
+    return scale[:, None] * offsets, {
+        "self_intersections_before": before,
+        "untangled": first,
+        "vertices_held_back": held_back,
+        "relief_backed_off": held_back / len(vertices),
+    }
 
 
 def _rings(faces: np.ndarray, seeds: np.ndarray, reach: int, count: int) -> list[np.ndarray]:
@@ -49,7 +63,9 @@ def _rings(faces: np.ndarray, seeds: np.ndarray, reach: int, count: int) -> list
     rings = [seeds]
     for _ in range(reach):
         touched = faces[seen[faces].any(axis=1)]
-        new = np.setdiff1d(np.unique(touched), np.flatnonzero(seen))
-        rings.append(new)
-        seen[new] = True
+        ring = np.setdiff1d(np.unique(touched), np.flatnonzero(seen))
+        if len(ring) == 0:
+            break
+        rings.append(ring)
+        seen[ring] = True
     return rings

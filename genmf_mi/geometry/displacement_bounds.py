@@ -1,4 +1,4 @@
-"""How far each vertex may move: the cap, thin walls, narrow gaps, tight bends, and feet that stay where they stand.
+"""How far each vertex may move: limited by the cap, wall thickness, narrow gaps, curvature and contact with the bed.
 
 Heights are taken along the normals of the initial surface. Neighbouring vertices then cannot run into each other as
 long as the height stays below the radius at which their normals meet, and opposite walls cannot meet as long as each
@@ -8,79 +8,95 @@ leaves the other its half.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
-BEND = 1.0
+CURVATURE_LIMIT = 1.0
 """Share of the radius of curvature that relief may use up."""
-SIDEWAYS = 0.5
+TANGENTIAL_LIMIT = 0.5
 """Share of the shortest edge at a vertex that it may move across its normal."""
-SLIM = 0.05
-"""Share of its width that relief may take from a limb: more shows in the outline, which the gradient does not see."""
-STANDING = 0.5
-"""Share of its height above the bed that a vertex may move. Whatever stands on the bed goes on standing on it, and
-nothing comes to lie below; a stress stage would lift all feet but one to be held less."""
+THIN_FEATURE_LIMIT = 0.05
+"""Share of its lateral thickness that relief may take from a limb: more shows in the silhouette, which the gradient
+does not see."""
+BED_CONTACT_LIMIT = 0.5
+"""Share of its height above the bed that a vertex may move. What stands on the bed stays on it, and nothing comes to
+lie below; a stress stage would otherwise lift all feet but one, so that the clamp loads them less."""
 BASE_BAND = 0.005
 """Faces within this share of the height from the lowest point, looking down, are the base."""
 
 
-def room(
+@dataclass(frozen=True)
+class DisplacementBounds:
+    """How far each vertex may move from the initial surface: three ``[V]``, one unit, none negative.
+
+    inward, outward: against and along the normal. tangential: across it.
+    """
+
+    inward: np.ndarray
+    outward: np.ndarray
+    tangential: np.ndarray
+
+
+def displacement_bounds(
     vertices: np.ndarray,
     faces: np.ndarray,
     normals: np.ndarray,
     cap: float,
     wall: float,
-    gap: Callable[[np.ndarray, np.ndarray], np.ndarray],
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Room inwards and outwards along the normal, and across it: three ``[V]``, between 0 and ``cap``.
+    free_ray_distance: Callable[[np.ndarray, np.ndarray], np.ndarray],
+) -> DisplacementBounds:
+    """The bounds of each vertex, at most ``cap``.
 
-    vertices, normals ``[V,3]``, faces ``[F,3]``; ``cap`` and ``wall`` in the same unit: the largest relief, and the
-    wall thickness that must remain. gap: distance ``[N]`` along rays (points, directions ``[N,3]``) to the next
-    surface, inf if there is none.
+    Args:
+        vertices, normals: ``[V,3]``, y up, the normals of unit length. faces: ``[F,3]``.
+        cap: the largest relief; wall: the wall thickness that must remain. Both in the unit of the vertices.
+        free_ray_distance: from points and unit directions ``[N,3]`` to the distance ``[N]`` of the next surface, inf
+            where there is none.
     """
-    converge_in, converge_out = bends(vertices, faces, normals)
-    inward = np.minimum(cap, BEND / np.maximum(converge_in, 1e-9))
-    outward = np.minimum(cap, BEND / np.maximum(converge_out, 1e-9))
+    convex, concave = curvatures(vertices, faces, normals)
+    inward = np.minimum(cap, CURVATURE_LIMIT / np.maximum(convex, 1e-9))
+    outward = np.minimum(cap, CURVATURE_LIMIT / np.maximum(concave, 1e-9))
     # Each of two opposite walls may use less than half of what lies between them
-    through = gap(vertices, -normals)
+    through = free_ray_distance(vertices, -normals)
     inward = np.minimum(inward, 0.45 * np.maximum(through - wall, 0))
-    outward = np.minimum(outward, 0.3 * gap(vertices, normals))
-    slim = SLIM * lateral_thickness(vertices, normals, through, gap)
-    standing = STANDING * (vertices[:, 1] - vertices[:, 1].min())
-    inward, outward = (np.minimum(x, np.minimum(slim, standing)) for x in (inward, outward))
+    outward = np.minimum(outward, 0.3 * free_ray_distance(vertices, normals))
+    thin = THIN_FEATURE_LIMIT * lateral_thickness(vertices, normals, through, free_ray_distance)
+    contact = BED_CONTACT_LIMIT * (vertices[:, 1] - vertices[:, 1].min())
+    inward, outward = (np.minimum(x, np.minimum(thin, contact)) for x in (inward, outward))
     inward, outward = (_spread_minimum(x, faces) for x in (inward, outward))
     pinned = base(vertices, faces)
     inward[pinned] = outward[pinned] = 0
-    sideways = np.minimum(SIDEWAYS * _shortest_edge(vertices, faces), 0.5 * np.minimum(inward, outward))
+    tangential = np.minimum(TANGENTIAL_LIMIT * _shortest_edge(vertices, faces), 0.5 * np.minimum(inward, outward))
     # Together they must stay within the cap
-    upright = np.sqrt(cap**2 - sideways**2)
-    return np.minimum(inward, upright), np.minimum(outward, upright), sideways
+    upright = np.sqrt(cap**2 - tangential**2)
+    return DisplacementBounds(np.minimum(inward, upright), np.minimum(outward, upright), tangential)
 
 
-def bends(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Largest curvature along the edges at each vertex, for moving inwards (convex bends) and outwards (hollows): two
-    ``[V]``."""
+def curvatures(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The largest normal curvature along the edges at each vertex, of convex and of concave bends: two ``[V]``, not
+    negative. The first limits motion inwards, the second motion outwards."""
     i, j = faces[:, [0, 1, 2]].ravel(), faces[:, [1, 2, 0]].ravel()
     along = vertices[j] - vertices[i]
     curvature = np.einsum("nk,nk->n", normals[j] - normals[i], along) / np.maximum((along**2).sum(axis=1), 1e-20)
-    convex, hollow = np.zeros(len(vertices)), np.zeros(len(vertices))
+    convex, concave = np.zeros(len(vertices)), np.zeros(len(vertices))
     for end in (i, j):
         np.maximum.at(convex, end, curvature)
-        np.maximum.at(hollow, end, -curvature)
-    return convex, hollow
+        np.maximum.at(concave, end, -curvature)
+    return convex, concave
 
 
 def lateral_thickness(
     vertices: np.ndarray,
     normals: np.ndarray,
     through: np.ndarray,
-    gap: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    free_ray_distance: Callable[[np.ndarray, np.ndarray], np.ndarray],
     directions: int = 4,
 ) -> np.ndarray:
-    """How wide the body is behind each vertex, ``[V]``: the shortest way right through it, parallel to the surface.
+    """The width of the body behind each vertex, ``[V]``: its shortest extent along lines parallel to the surface.
 
-    Measured half-way to the opposite wall, ``through [V]`` away, along ``directions`` lines. A leg or a handle is as
-    wide as it is thick; a plate or the wall of a cup is thin but wide.
+    Measured half-way to the opposite wall, which is ``through [V]`` away, along ``directions`` lines. A leg or a handle
+    is as wide as it is thick; a plate or the wall of a cup is thin but wide.
     """
     middle = vertices - 0.5 * np.where(np.isfinite(through), through, 0.0)[:, None] * normals
     helper = np.eye(3)[np.abs(normals).argmin(axis=1)]
@@ -90,20 +106,20 @@ def lateral_thickness(
     width = np.full(len(vertices), np.inf)
     for angle in np.arange(directions) * np.pi / directions:
         along = np.cos(angle) * across + np.sin(angle) * other
-        width = np.minimum(width, gap(middle, along) + gap(middle, -along))
+        width = np.minimum(width, free_ray_distance(middle, along) + free_ray_distance(middle, -along))
     return width
 
 
 def base(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Indices of the vertices of the flat base, y up; empty if the object stands on less than 2 % of its outline."""
+    """Indices of the vertices of the flat base, y up; empty if it covers less than 2 % of the footprint's box."""
     corner = vertices[faces]
     cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     area = np.linalg.norm(cross, axis=1) / 2
     down = -cross[:, 1] / np.maximum(2 * area, 1e-20)
     low, high = vertices[:, 1].min(), vertices[:, 1].max()
     flat = (down > 0.98) & (corner[:, :, 1].max(axis=1) < low + BASE_BAND * (high - low))
-    outline = np.prod(np.ptp(vertices[:, [0, 2]], axis=0))
-    return np.unique(faces[flat]) if area[flat].sum() > 0.02 * outline else np.empty(0, np.int64)
+    footprint = np.prod(np.ptp(vertices[:, [0, 2]], axis=0))
+    return np.unique(faces[flat]) if area[flat].sum() > 0.02 * footprint else np.empty(0, np.int64)
 
 
 def _shortest_edge(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

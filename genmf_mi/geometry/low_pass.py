@@ -1,22 +1,26 @@
-"""What of a field on the surface is broader than a length."""
+"""The low-frequency component of a field on a surface."""
 
 from __future__ import annotations
 
 import numpy as np
+import torch
 
-from genmf_mi.geometry.mesh import ImplicitDiffusion
-
-
-def low_pass(vertices: np.ndarray, faces: np.ndarray, length: float, device: str = "cpu") -> ImplicitDiffusion:
-    """Keeps wavelengths well above ``length`` (in the unit of the vertices) of a field on an even mesh, and drops those
-    well below: a screened Poisson problem."""
-    edges = np.linalg.norm(vertices[faces[:, 1]] - vertices[faces[:, 0]], axis=1)
-    return ImplicitDiffusion(faces, len(vertices), smoothing=(length / edges.mean() / 2) ** 2 / 2, device=device)
+from genmf_mi.geometry.laplacian import ImplicitDiffusion
 
 
-def low_frequency(vertices: np.ndarray, faces: np.ndarray, field: np.ndarray, length: float) -> np.ndarray:
+def low_pass(vertices: np.ndarray, cells: np.ndarray, wavelength: float, device: str = "cpu") -> ImplicitDiffusion:
+    """A filter that keeps wavelengths well above ``wavelength`` and suppresses those well below: screened Poisson.
+
+    Args:
+        vertices: ``[V,3]`` of an even mesh or grid.
+        cells: its faces ``[F,3]`` or edges ``[E,2]``.
+        wavelength: in the unit of the vertices.
+    """
+    edges = np.linalg.norm(vertices[cells[:, 1]] - vertices[cells[:, 0]], axis=1)
+    return ImplicitDiffusion(cells, len(vertices), smoothing=(wavelength / edges.mean() / 2) ** 2 / 2, device=device)
+
+
+def low_frequency(vertices: np.ndarray, faces: np.ndarray, field: np.ndarray, wavelength: float) -> np.ndarray:
     """What :func:`low_pass` keeps of ``field [V]``."""
-    import torch
-
-    smoother = low_pass(vertices, faces, length)
-    return smoother(torch.as_tensor(field, dtype=torch.float32)[:, None])[:, 0].numpy().astype(np.float64)
+    smooth = low_pass(vertices, faces, wavelength)
+    return smooth(torch.as_tensor(field, dtype=torch.float32)[:, None])[:, 0].numpy().astype(np.float64)

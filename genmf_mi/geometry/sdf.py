@@ -1,55 +1,63 @@
-"""Relief on a shape that is Φ on a grid: what the optimiser moves, and what keeps it within bounds.
+"""Relief on a shape that is Φ on a grid: what the optimiser moves, and how it is kept within its bounds.
 
-Three things move: Φ, the deformation of the grid and the weights of FlexiCubes. Φ = Φ₀ − s·room·tanh(h / room), where
-Φ₀ is the generator's field, s its slope, so that h is a height in the units of the object, and ``room`` what cap, walls
-and gaps leave at the closest point of the initial surface. h is a smooth function of the latent variable in the manner
-of Nicolet et al. 2021: (I + λL) h = u, with L the Laplacian of the grid's own graph, of which only a shell about the
-surface is kept. The deformation and the weights add what is smaller than a cell; their steps are small and those of the
-deformation grow, as in GenMF.
+Three things move: Φ, the deformation of the grid and the weights of FlexiCubes. Φ = Φ₀ − s·b·tanh(h / b), where Φ₀ is
+the field of the generator, s its slope, so that h is a height in normalised units, and b the bound of the displacement
+at the closest point of the initial surface. h is a smooth function of the parameter u in the manner of Nicolet et al.
+2021: (I + λL) h = u, with L the Laplacian of the grid's own graph, of which only a shell about the surface is kept. The
+deformation and the weights add what is smaller than a cell; the steps of the deformation grow from nothing, as in
+GenMF.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from genmf_mi.assets.sdf_asset import SdfAsset
+from genmf_mi.core.frame import Frame
+from genmf_mi.geometry.displacement_bounds import DisplacementBounds
+from genmf_mi.geometry.laplacian import ImplicitDiffusion
 from genmf_mi.geometry.low_pass import low_pass
-from genmf_mi.geometry.mesh import ImplicitDiffusion
-from genmf_mi.geometry.parameterization import Crossings, Geometry, RefinedSurface
-from genmf_mi.geometry.sdf_distance import FieldDistance, slope, weights_of
+from genmf_mi.geometry.mesh import SATURATION
+from genmf_mi.geometry.parameterization import FindSelfIntersections, Geometry, RefinedSurface
+from genmf_mi.geometry.sdf_back_off import Kept, back_off_fields
+from genmf_mi.geometry.sdf_distance import SdfDistance, free_weights, slope
 from genmf_mi.losses import sdf as losses
 from genmf_mi.mesh.nearest import Nearest, barycentric
 from genmf_mi.sdf.flexicubes import WEIGHTS, FlexiCubes, flexi_weight_reg
 from genmf_mi.sdf.grid import SPECK, without_specks
 from genmf_mi.sdf.shell import shell
 
-if TYPE_CHECKING:
-    from genmf_mi.assets.sdf_asset import SdfAsset
-    from genmf_mi.core.frame import Frame
-
 DEFORMATION_RATE, WEIGHTS_RATE = 4.0, 4.0
-"""Steps on the latent numbers of the deformation (in the end; see :meth:`SdfParameterization.rates`) and of the weights, which
-have no unit, as multiples of the learning rate."""
-FREE = 0.25
+"""Learning rates of the deformation (at the end; see :meth:`SdfParameterization.learning_rates`) and of the weights,
+whose parameters have no unit, as multiples of that of Φ."""
+DEFORMATION_LIMIT = 0.25
 """Share of a cell that a sample may move along each axis."""
-REACH_CELLS, GROWTH, PATIENCE = 2.0, 1.5, 4
-"""How far around a spot where the surface cuts through itself changes are taken back; by how much farther each time
-that was not enough there; and the attempts after which no spot is new any more, so that there is an end to it."""
+
+
+class SdfState(NamedTuple):
+    """A surface as the values of the parameters ``[N]``, ``[N,3]``, ``[K,21]``, and whether the low-frequency component
+    of the heights is left out."""
+
+    parameters: tuple[Tensor, ...]
+    filtered: bool
 
 
 class SdfParameterization:
-    """Φ, deformation and weights about a fixed initial surface; a :class:`genmf_mi.geometry.parameterization.Parameterization`.
+    """Φ, deformation and weights about a fixed surface; a
+    :class:`genmf_mi.geometry.parameterization.Parameterization`.
 
-    asset: whose ``surface(training=True)`` is the initial surface. frame: of the part.
-    vertices, normals: ``[V,3]`` of that surface, normalised frame; faces: ``[F,3]``.
-    inward, outward: ``[V]``, room along the normal, normalised units; where there is none, nothing moves.
-    smoothing: λ. broad: length in normalised units; what is broader is taken out of the heights, see
-        :class:`genmf_mi.geometry.mesh.MeshParameterization`.
+    Args:
+        asset: its ``surface(training=True)`` is the initial surface. frame: of the part.
+        vertices, normals: ``[V,3]`` of that surface, normalised frame; faces: ``[F,3]``.
+        bounds: along the normal, normalised units; where there are none, nothing moves.
+        smoothing: λ.
+        wavelength: normalised units; longer waves are taken out of the heights, see
+            :class:`genmf_mi.geometry.mesh.MeshParameterization`.
     """
 
     def __init__(
@@ -59,181 +67,179 @@ class SdfParameterization:
         vertices: np.ndarray,
         faces: np.ndarray,
         normals: np.ndarray,
-        inward: np.ndarray,
-        outward: np.ndarray,
+        bounds: DisplacementBounds,
         *,
         smoothing: float,
-        broad: float,
+        wavelength: float,
         device: str = "cpu",
     ) -> None:
-        def tensor(x: np.ndarray) -> Tensor:
-            return torch.as_tensor(np.ascontiguousarray(x), dtype=torch.float32, device=device)
-
-        self.device, self.vertices, self.faces, self.normals = device, vertices, faces, normals
+        self.device, self.vertices, self.faces, self.normals, self.bounds = device, vertices, faces, normals, bounds
         self.scale = asset.half * frame.scale
         self.shift = (np.asarray(asset.centre) - np.asarray(frame.centre)) * frame.scale
-        self.room, self.cell = (inward, outward), 2 / asset.resolution * self.scale
-        cap = max(inward.max(), outward.max()) / self.scale
-        self.shell = shell(asset.phi < 0, asset.deformation, self._to_grid(vertices), faces, cap)
-        around = self.shell
-        count, cubes = len(around.samples), len(around.cubes)
+        self.cell = 2 / asset.resolution
+        cap = max(bounds.inward.max(), bounds.outward.max()) / self.scale
+        self.shell = shell(asset.phi < 0, asset.deformation, self.to_grid(vertices), faces, cap)
+        self._heights_of(asset, smoothing, wavelength)
+        self._deformation_of(asset)
+        self._weights_of(asset)
+        samples, cubes = len(self.shell.samples), len(self.shell.cubes)
+        self.parameters = tuple(
+            torch.zeros(shape, device=device, requires_grad=True) for shape in (samples, (samples, 3), (cubes, WEIGHTS))
+        )
 
-        self.initial = tensor(asset.phi)
-        self.samples = torch.as_tensor(around.samples, device=device)
-        self.slope = tensor(slope(asset.phi, around.samples, around.distance))[:, None] / self.scale
-        self.inward, self.outward = (tensor(self._spread(x))[:, None].clamp_min(1e-9) for x in (inward, outward))
-        self.solve = ImplicitDiffusion(around.edges, count, smoothing, device)
-        self.broad = low_pass(around.places * self.scale, around.edges, broad, device)
+    def _tensor(self, x: np.ndarray) -> Tensor:
+        return torch.as_tensor(np.ascontiguousarray(x), dtype=torch.float32, device=self.device)
 
-        m, step = len(asset.phi), 1 / asset.resolution
-        at_rest = np.zeros((m, m, m, 3), np.float32) if asset.deformation is None else asset.deformation
-        self.at_rest = tensor(at_rest).reshape(-1, 3)
-        room = torch.minimum(self.inward, self.outward)
-        spare = (step - self.at_rest[self.samples].abs()).clamp_min(0)
-        self.limit = torch.minimum(spare.clamp_max(2 * FREE * step), room / self.scale)
+    def _heights_of(self, asset: SdfAsset, smoothing: float, wavelength: float) -> None:
+        """Φ₀, its slope per normalised unit, and the bounds and filters of the heights at the samples of the shell."""
+        near, count = self.shell, len(self.shell.samples)
+        self.initial_shape = self._tensor(asset.phi)
+        self.samples = torch.as_tensor(near.samples, device=self.device)
+        self.slope = self._tensor(slope(asset.phi, near.samples, near.distance))[:, None] / self.scale
+        self._inward, self._outward = (
+            self._tensor(self._at_samples(x))[:, None].clamp_min(1e-9)
+            for x in (self.bounds.inward, self.bounds.outward)
+        )
+        self._diffusion = ImplicitDiffusion(near.edges, count, smoothing, self.device)
+        self._low_pass = low_pass(near.places * self.scale, near.edges, wavelength, self.device)
 
+    def _deformation_of(self, asset: SdfAsset) -> None:
+        """The deformation of the generator, and how much each sample of the shell may add to it along each axis."""
+        m, half_cell = len(asset.phi), 1 / asset.resolution
+        initial = np.zeros((m, m, m, 3), np.float32) if asset.deformation is None else asset.deformation
+        self._initial_deformation = self._tensor(initial).reshape(-1, 3)
+        bound = torch.minimum(self._inward, self._outward) / self.scale
+        spare = (half_cell - self._initial_deformation[self.samples].abs()).clamp_min(0)
+        self._deformation_limit = torch.minimum(spare.clamp_max(2 * DEFORMATION_LIMIT * half_cell), bound)
+
+    def _weights_of(self, asset: SdfAsset) -> None:
+        """The weights of the generator in the cubes of the shell, and a factor on what is added to them, from 0 where
+        there is no bound to 1 where it is half a cell or more."""
+        near = self.shell
         row = np.full(asset.resolution**3, -1, np.int32)
-        row[around.cubes] = np.arange(cubes)
-        self.extract = FlexiCubes(asset.spread, torch.as_tensor(row, device=device))
-        self.weights = tensor(weights_of(asset, around.cubes))
-        room = np.einsum("kc,kc->k", np.minimum(inward, outward)[faces[around.cube_face]], around.cube_weights)
-        self.gate = tensor(np.clip(2 * room / self.cell, 0, 1))[:, None]
+        row[near.cubes] = np.arange(len(near.cubes))
+        self._extract = FlexiCubes(asset.spread, torch.as_tensor(row, device=self.device))
+        self._initial_weights = self._tensor(free_weights(asset, near.cubes))
+        bound = np.minimum(self.bounds.inward, self.bounds.outward)[self.faces[near.cube_face]]
+        bound = np.einsum("kc,kc->k", bound, near.cube_weights)
+        self._weights_factor = self._tensor(np.clip(2 * bound / (self.cell * self.scale), 0, 1))[:, None]
 
-        ends = np.cumsum([0, count, 3 * count, WEIGHTS * cubes])
-        self.blocks = tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(ends))
-        self.latent = torch.zeros(int(ends[-1]), device=device, requires_grad=True)
-
-    def rates(self, progress: float) -> tuple[float, ...]:
+    def learning_rates(self, progress: float) -> tuple[float, ...]:
         """All of the learning rate for Φ, and for the deformation little but ever more."""
         return 1.0, DEFORMATION_RATE * progress, WEIGHTS_RATE
 
-    def heights(self) -> Tensor:
-        """``[N,1]`` by which the surface is raised at the samples of the shell, normalised units, within the room."""
-        x = self.solve(self.latent[self.blocks[0]][:, None])
-        if self.broad is not None:
-            x = x - self.broad(x)
-        room = torch.where(x > 0, self.outward, self.inward)
-        return room * torch.tanh(x / room)
+    def heights(self, state: SdfState) -> Tensor:
+        """``[N,1]`` by which the surface is raised at the samples of the shell, normalised units, within the bounds."""
+        x = self._diffusion(state.parameters[0][:, None])
+        if state.filtered:
+            x = x - self._low_pass(x)
+        bound = torch.where(x > 0, self._outward, self._inward)
+        return bound * torch.tanh(x / bound)
 
-    def fields(self, kept: tuple[Tensor, ...] | None = None) -> tuple[Tensor, Tensor, Tensor]:
+    def fields(self, state: SdfState, kept: tuple[Tensor, ...] | None = None) -> tuple[Tensor, Tensor, Tensor]:
         """Φ ``[m,m,m]``, deformation ``[m,m,m,3]`` and weights ``[K,21]`` of the cubes in the shell.
 
-        kept: shares of the changes of each to keep, ``[N,1]``, ``[N,1]`` and ``[K,1]``; all of them if None.
+        Args:
+            kept: shares of the changes of each to keep, ``[N,1]``, ``[N,1]`` and ``[K,1]``; all of them if None.
         """
-        change = -self.slope * self.heights()
-        bent = self.limit * torch.tanh(self.latent[self.blocks[1]].view(-1, 3))
-        weights = self.gate * self.latent[self.blocks[2]].view(-1, WEIGHTS)
+        change = -self.slope * self.heights(state)
+        deformation = self._deformation_limit * torch.tanh(state.parameters[1])
+        weights = self._weights_factor * state.parameters[2]
         if kept is not None:
-            change, bent, weights = kept[0] * change, kept[1] * bent, kept[2] * weights
-        phi = self.initial.reshape(-1).index_add(0, self.samples, change[:, 0])
-        deformation = self.at_rest.index_add(0, self.samples, bent)
-        return phi.view_as(self.initial), deformation.view(*self.initial.shape, 3), self.weights + weights
+            change, deformation, weights = kept[0] * change, kept[1] * deformation, kept[2] * weights
+        phi = self.initial_shape.reshape(-1).index_add(0, self.samples, change[:, 0])
+        deformation = self._initial_deformation.index_add(0, self.samples, deformation)
+        shape = self.initial_shape.shape
+        return phi.view(shape), deformation.view(*shape, 3), self._initial_weights + weights
 
-    def moved(self) -> Geometry:
+    def geometry(self) -> Geometry:
         """The extracted surface, Φ, and the losses of both."""
-        phi, deformation, weights = self.fields()
-        surface = self.extract(phi, deformation, weights)
-        step = 2 / (len(phi) - 1)
+        phi, deformation, weights = self.fields(SdfState(self.parameters, filtered=True))
+        surface = self._extract(phi, deformation, weights)
         terms = {
-            "sdf_tv": losses.sdf_tv(phi, self.samples, step),
-            "l_dev": losses.l_dev(surface.deviation, step),
+            "sdf_tv": losses.sdf_tv(phi, self.samples, self.cell),
+            "l_dev": losses.l_dev(surface.deviation, self.cell),
             "flexi_weight_reg": flexi_weight_reg(surface.weights),
         }
         shift = torch.as_tensor(self.shift, dtype=torch.float32, device=self.device)
         return Geometry(surface.vertices * self.scale + shift, surface.faces, phi, terms)
 
-    def start_from(self, heights: np.ndarray) -> None:
-        """Make :meth:`heights` the ``heights [V]`` of the closest points, up to 0.98 of the room and but for their
-        broad part; nothing else moves."""
+    def set_heights(self, heights: np.ndarray) -> None:
+        """Make :meth:`heights` the ``heights [V]`` of the closest points, up to :data:`SATURATION` of the bounds and
+        without their low-frequency component; deformation and weights stay."""
         with torch.no_grad():
-            wanted = torch.as_tensor(self._spread(heights), dtype=torch.float32, device=self.device)[:, None]
-            room = torch.where(wanted > 0, self.outward, self.inward)
-            x = room * torch.atanh((wanted / room).clamp(-0.98, 0.98))
-            self.latent.zero_()
-            self.latent[self.blocks[0]] = self.solve.inverse(x)[:, 0]
+            self.parameters[0].copy_(self._parameter_of(heights))
+
+    def _parameter_of(self, heights: np.ndarray) -> Tensor:
+        wanted = self._tensor(self._at_samples(heights))[:, None]
+        bound = torch.where(wanted > 0, self._outward, self._inward)
+        return self._diffusion.inverse(bound * torch.atanh((wanted / bound).clamp(-SATURATION, SATURATION)))[:, 0]
 
     def distance(self, samples: int) -> Callable[[Tensor], Tensor]:
-        """See :class:`genmf_mi.geometry.sdf_distance.FieldDistance`."""
-        return FieldDistance(self, samples)
+        """See :class:`genmf_mi.geometry.sdf_distance.SdfDistance`."""
+        surface = self.vertices, self.faces
+        return SdfDistance(
+            self.initial_shape, self.samples, self.slope[:, 0], surface, samples, scale=self.scale, shift=self.shift
+        )
 
-    def reached(self) -> np.ndarray:
-        """The latent as an array."""
-        return self.latent.detach().cpu().numpy().copy()
+    def state(self) -> SdfState:
+        """Copies of the parameters."""
+        return SdfState(tuple(p.detach().clone() for p in self.parameters), filtered=True)
 
-    def displaced(self, heights: np.ndarray) -> np.ndarray:
-        """The latent of :meth:`start_from`, with the broad part of the heights."""
-        self.broad = None
-        self.start_from(heights)
-        return self.reached()
+    def displaced(self, heights: np.ndarray) -> SdfState:
+        """The parameters of ``heights [V]`` with all frequencies, and no change of deformation and weights."""
+        rest = (torch.zeros_like(p) for p in self.parameters[1:])
+        return SdfState((self._parameter_of(heights), *rest), filtered=False)
 
-    def surface(self, reached: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices ``[V,3]`` and faces ``[F,3]`` within their room, but not untangled."""
-        part = self._part(reached, None)
-        return part.vertices, part.faces
+    def surface(self, state: SdfState) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices ``[V,3]`` and faces ``[F,3]`` within their bounds; self-intersections may be left."""
+        surface = self.extract(state)
+        return surface.vertices, surface.faces
 
-    def finished(self, reached: np.ndarray, crossings: Crossings) -> RefinedSurface:
-        """Take changes of the fields back around faces that cut through others, and extract again, until no more of
-        them are left than the initial surface has. First go deformation and weights, as these make faces cross within
-        a cell; where that is not enough half of the change of Φ, then all of it, ever farther around the spot."""
-        from scipy.spatial import cKDTree
+    def finish(self, state: SdfState, find_self_intersections: FindSelfIntersections) -> RefinedSurface:
+        """See :func:`genmf_mi.geometry.sdf_back_off.back_off_fields`."""
+        return back_off_fields(
+            lambda kept: self.extract(state, kept),
+            (self.shell.places, self.shell.places, self.shell.centres),
+            self.to_grid,
+            self.cell,
+            (self.vertices, self.faces),
+            find_self_intersections,
+        )
 
-        def around(vertices: np.ndarray, faces: np.ndarray) -> cKDTree:
-            return cKDTree(self._to_grid(vertices[np.unique(faces)]))
+    def extract(self, state: SdfState, kept: Kept | None = None) -> RefinedSurface:
+        """The surface without small components, every vertex within the bounds of its point on the initial surface,
+        which deformation and weights do not keep by themselves.
 
-        own = crossings(self.vertices, self.faces)
-        first, failed, always = None, [], around(self.vertices, self.faces[own])
-        places = self.shell.places, self.shell.places, self.shell.centres
-        kept = tuple(np.ones(len(x)) for x in places)
-        near = REACH_CELLS * self.cell / self.scale
-        for attempt in itertools.count():
-            part = self._part(reached, kept)
-            crossing = crossings(part.vertices, part.faces)
-            first = len(crossing) if first is None else first
-            if len(crossing) <= len(own) or not any(share.any() for share in kept):
-                break
-            spots = around(part.vertices, part.faces[crossing])
-            new = always.query(spots.data)[0] > near
-            spots = cKDTree(spots.data[new]) if new.any() else spots
-            times = np.full(spots.n, attempt // PATIENCE) + sum(x.query(spots.data)[0] < near for x in failed)
-            failed.append(spots)
-            for again in np.unique(times):
-                there, reach = cKDTree(spots.data[times == again]), near * GROWTH ** max(again - 1, 0)
-                for share, at, taken in zip(kept, places, (min(again / 2, 1), 1, 1), strict=True):
-                    away = there.query(at, distance_upper_bound=reach)[0] / reach
-                    share *= 1 - taken * np.clip(2 - 2 * away, 0, 1)
-        held = int((np.minimum(*kept[:2]) < 1).sum())
-        report = {"self_intersections_before": len(own), "untangled": first, "samples_held_back": held}
-        return RefinedSurface(part.vertices, part.faces, part.foot, part.normals, report)
+        Components that were just large enough in the initial surface are not small now.
 
-    def _part(self, reached: np.ndarray, kept: tuple[np.ndarray, ...] | None) -> RefinedSurface:
-        """The surface without specks, every vertex within the room of its point on the initial one, to which weights
-        and deformation do not keep by themselves. Bodies that were just large enough before are no specks now."""
+        Args:
+            kept: as for :meth:`fields`, ``[N]``, ``[N]`` and ``[K]``.
+        """
         with torch.no_grad():
-            self.latent.copy_(torch.as_tensor(reached))
-            shares = kept and tuple(torch.as_tensor(x, dtype=torch.float32, device=self.device)[:, None] for x in kept)
-            phi, *rest = self.fields(shares)
+            phi, *rest = self.fields(state, kept and tuple(self._tensor(x)[:, None] for x in kept))
             phi = torch.as_tensor(without_specks(phi.cpu().numpy(), SPECK / 3)[0], device=self.device)
-            made = self.extract(phi, *rest)
-        faces = made.faces.cpu().numpy().astype(np.int64)
-        points = made.vertices.cpu().numpy().astype(np.float64) * self.scale + self.shift
-        face, foot, away = Nearest(self.vertices, self.faces).find(points)
+            extracted = self._extract(phi, *rest)
+        faces = extracted.faces.cpu().numpy().astype(np.int64)
+        points = extracted.vertices.cpu().numpy().astype(np.float64) * self.scale + self.shift
+        face, foot, distance = Nearest(self.vertices, self.faces).find(points)
         corners, weights = self.faces[face], barycentric(self.vertices[self.faces[face]], foot)
 
-        def there(field: np.ndarray) -> np.ndarray:
+        def at_foot(field: np.ndarray) -> np.ndarray:
             return np.einsum("vc,vc...->v...", weights, field[corners])
 
-        normals = there(self.normals)
+        normals = at_foot(self.normals)
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
         offset = points - foot
         raised = np.einsum("vk,vk->v", offset, normals) > 0
-        room = np.where(raised, *(there(x) for x in self.room[::-1]))
-        offset *= np.minimum(1, room / np.maximum(away, 1e-20))[:, None]
+        bound = np.where(raised, at_foot(self.bounds.outward), at_foot(self.bounds.inward))
+        offset *= np.minimum(1, bound / np.maximum(distance, 1e-20))[:, None]
         return RefinedSurface(foot + offset, faces, foot, normals)
 
-    def _to_grid(self, points: np.ndarray) -> np.ndarray:
+    def to_grid(self, points: np.ndarray) -> np.ndarray:
         """Normalised frame to grid units, ``[N,3]``."""
         return (points - self.shift) / self.scale
 
-    def _spread(self, values: np.ndarray) -> np.ndarray:
+    def _at_samples(self, values: np.ndarray) -> np.ndarray:
         """``values [V]`` on the initial surface, at the point closest to each sample of the shell: ``[N]``."""
         return np.einsum("nc,nc->n", values[self.faces[self.shell.face]], self.shell.weights)

@@ -1,32 +1,31 @@
-"""The weighted sum of GenMF: every term by name, and what it weighs."""
+"""The weighted sum of GenMF: every term by name, and its weight λ."""
 
 from __future__ import annotations
 
-from dataclasses import asdict
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
+import torch
+from torch import Tensor
+
+from genmf_mi.core.config import Weights
 from genmf_mi.losses import appearance, geometry, perceptual
-
-if TYPE_CHECKING:
-    from torch import Tensor
-
-    from genmf_mi.core.config import Weights
-    from genmf_mi.render.bridge import Buffers
+from genmf_mi.render.bridge import Buffers
 
 MARGIN = 12
-"""Pixels around the object that are kept."""
-GRID = 64
-"""Windows start and end on multiples of this many pixels: torch keeps what it prepared for every image size it met."""
-LEAST = 48
-"""Pixels that are kept at least: AlexNet cannot look at fewer than 31."""
+"""Pixels around the object that are kept, for the windows of the losses."""
+SMALLEST = 48
+"""Pixels that are kept at least: AlexNet cannot process fewer than 31."""
 
 
 def terms(part: Buffers, reference: Buffers, weights: Weights) -> dict[str, Tensor]:
-    """The terms with a weight, unweighted, by the names of :class:`Weights`.
+    """The terms of the images that have a weight, unweighted, by the names of :class:`Weights`.
 
-    part: the render being improved; without geometry buffers only the appearance is judged. reference: the textured
-    object at the same rays, whose depth and normal are the teacher's. Only the part of the frame around the object is
-    looked at; what LPIPS averages over is therefore smaller than in the evaluation.
+    Only the part of the frame around the object is compared; what LPIPS averages over is therefore smaller than in the
+    evaluation.
+
+    Args:
+        part: the render being improved; without geometry buffers only its appearance is judged.
+        reference: the textured object at the same rays; its depth and normals are the teacher's.
     """
     window = _window(reference.coverage)
     part, reference = part.crop(window), reference.crop(window)
@@ -55,25 +54,24 @@ def terms(part: Buffers, reference: Buffers, weights: Weights) -> dict[str, Tens
     return {name: term() for name, term in by_name.items() if getattr(weights, name) > 0}
 
 
-def weighted(terms: dict[str, Tensor], weights: Weights) -> dict[str, Tensor]:
-    """Those of the ``terms`` that have a weight."""
+def with_weight(terms: Mapping[str, Tensor], weights: Weights) -> dict[str, Tensor]:
+    """Those of ``terms`` whose weight is not 0."""
     return {name: term for name, term in terms.items() if getattr(weights, name) > 0}
 
 
-def total(values: dict[str, Tensor], weights: Weights) -> Tensor:
-    """Σ λ L."""
-    factors = asdict(weights)
-    return sum(factors[name] * value for name, value in values.items())
+def weighted_sum(terms: Mapping[str, Tensor], weights: Mapping[str, float]) -> Tensor:
+    """Σ λ L over ``terms``, each with the weight of its name."""
+    return torch.stack([weights[name] * term for name, term in terms.items()]).sum()
 
 
 def _window(mask: Tensor) -> tuple[slice, slice]:
-    """Rows and columns of ``mask [B,1,H,W]`` that hold the object, and a margin for the windows of the losses."""
+    """Rows and columns of ``mask [B,1,H,W]`` that hold the object and a margin."""
     occupied = mask.amax(dim=(0, 1)) > 0
 
     def span(flags: Tensor) -> slice:
-        found = flags.nonzero()
-        first, last = (int(found[0]), int(found[-1])) if len(found) else (0, len(flags) - 1)
-        margin = max(MARGIN, (LEAST - (last + 1 - first)) // 2)
+        inside = flags.nonzero()
+        first, last = (int(inside[0]), int(inside[-1])) if len(inside) else (0, len(flags) - 1)
+        margin = max(MARGIN, (SMALLEST - (last + 1 - first)) // 2)
         return slice(max(first - margin, 0), last + 1 + margin)
 
     return span(occupied.any(dim=1)), span(occupied.any(dim=0))

@@ -1,24 +1,32 @@
-"""What a refinement leaves behind: scores, checks, files."""
+"""What a refinement leaves behind: scores, checks and files."""
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from genmf_mi.core import memory
-from genmf_mi.pipeline.evaluation import Evaluator, unseen
+from genmf_mi.core.config import RefineConfig
+from genmf_mi.core.progress import Progress
+from genmf_mi.core.timer import Timer
+from genmf_mi.fabrication import files
+from genmf_mi.fabrication.checks import check
+from genmf_mi.geometry.parameterization import RefinedSurface
+from genmf_mi.pipeline.displacement import Displacement
+from genmf_mi.pipeline.evaluator import Evaluator, unseen_views
+from genmf_mi.pipeline.problem import RefinementProblem
+from genmf_mi.pipeline.run_folder import RunFolder
 from genmf_mi.render import bridge
+from genmf_mi.render.exr import write_buffers
+from genmf_mi.report import Report, View, write_before_after, write_report
 
-if TYPE_CHECKING:
-    from torch import Tensor
-
-    from genmf_mi.geometry.parameterization import RefinedSurface
-    from genmf_mi.pipeline.refinement import _Job
-    from genmf_mi.pipeline.run_folder import Run
+Shapes = dict[str, tuple[Tensor, Tensor]]
+"""By name: vertices ``[V,3]`` in the normalised frame and faces ``[F,3]``."""
 
 
 @dataclass(frozen=True)
@@ -36,161 +44,197 @@ class Result:
     faces: np.ndarray
     rgb: np.ndarray
     relief_mm: np.ndarray
-    metrics: dict
-    history: list[dict]
+    metrics: dict[str, Any]
+    history: list[dict[str, Any]]
     out: Path | None
 
 
-Shapes = dict[str, "tuple[Tensor, Tensor]"]
-"""By name: vertices ``[V,3]`` in the normalised frame and faces ``[F,3]``."""
+@dataclass(frozen=True)
+class Outcome:
+    """All that the optimisation hands over.
 
+    stress_stage_left_out: why there was no stress stage although it was asked for, empty otherwise.
+    verification: of the stress, empty if it was not asked for; unconstrained: the surface without the stress stage.
+    """
 
-def scores(job: _Job, shapes: Shapes) -> dict:
-    """Scores of named shapes on the standard views and, under ``unseen``, on the unseen ones."""
-    piece, table = job.piece, {}
-    judges = {"": job.judge}
-    if not piece.reference.pictures:
-        judges["unseen"] = Evaluator(
-            piece.judged_reference, piece.judged_part, unseen(job.judge.views), job.judge.networks
-        )
-    for group, judge in judges.items():
-        job.listener.say(f"scoring{', unseen views' if group else ''}")
-        rows = judge.scores({name: judge.render(*shape) for name, shape in shapes.items()})
-        table |= {group: rows} if group else rows
-    return table
+    problem: RefinementProblem
+    config: RefineConfig
+    evaluator: Evaluator
+    displacement: Displacement
+    surface: RefinedSurface
+    history: list[dict[str, Any]]
+    interrupted: bool
+    stress_stage_left_out: str
+    verification: dict[str, Any]
+    unconstrained: tuple[np.ndarray, np.ndarray] | None
+
+    @property
+    def relief_mm(self) -> np.ndarray:
+        """``[V]`` along the normals of the initial surface, positive where raised."""
+        along = np.einsum("vk,vk->v", self.surface.offsets, self.surface.normals)
+        return along * self.problem.frame.mm_per_unit
+
+    @property
+    def rgb(self) -> np.ndarray:
+        """``[V,3]`` linear colour of the original at each vertex."""
+        foot = self.problem.frame.restore(self.surface.foot)
+        return self.problem.asset.closest_albedo(foot, self.surface.normals)
 
 
 def conclude(
-    job: _Job,
-    run: Run | None,
-    refined: RefinedSurface,
-    seconds: dict,
-    started: float,
-    interrupted: bool,
-    save_exr: bool,
+    outcome: Outcome, run: RunFolder | None, timer: Timer, progress: Progress, *, save_exr: bool = False
 ) -> Result:
-    """Score, check and, where there is a run folder, write everything."""
-    import torch
+    """Score, check and, where there is a run folder, write everything.
 
-    from genmf_mi.pipeline import fabrication as fabricate
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    problem, surface = outcome.problem, outcome.surface
+    shapes = shapes_of(outcome)
+    scores = scores_of(outcome, shapes, progress)
+    timer.lap("evaluate")
 
-    piece, say = job.piece, job.listener.say
-    displaced = piece.vertices + job.displaced[:, None] * piece.normals
-    surfaces = {"before": (piece.vertices, piece.faces), "displacement": (displaced, piece.faces)}
-    if job.without_stress is not None:
-        surfaces["unconstrained"] = job.without_stress
-    surfaces["after"] = (refined.vertices, refined.faces)
-    shapes = {
-        name: (torch.as_tensor(v, dtype=torch.float32, device=job.device), torch.as_tensor(f, device=job.device))
+    progress.stage("checking the part")
+    part_mm = problem.frame.to_print(surface.vertices)
+    rgb, metrics = outcome.rgb, metrics_of(outcome, scores, part_mm)
+    _warn(metrics, progress)
+    result = Result(
+        vertices_mm=part_mm,
+        vertices=problem.frame.restore(surface.vertices),
+        faces=surface.faces,
+        rgb=rgb,
+        relief_mm=outcome.relief_mm,
+        metrics=metrics,
+        history=outcome.history,
+        out=run.path if run else None,
+    )
+    if run is not None:
+        progress.stage("writing the files")
+        metrics["files"] = files.write(
+            run.path, surface.vertices, surface.faces, problem.frame, rgb, problem.asset.name
+        )
+        timer.lap("write")
+        # The report tells the time too, so far as it is known
+        metrics["seconds"] = {"total": timer.total, **timer.seconds}
+        write_pictures(outcome, run.path, shapes, rgb, metrics, save_exr=save_exr)
+    timer.lap("write")
+    metrics["seconds"] = {"total": timer.total, **timer.seconds}
+    metrics["peak_memory_gb"] = memory.peak_gb()
+    if run is not None:
+        run.finish(metrics)
+    return result
+
+
+def shapes_of(outcome: Outcome) -> Shapes:
+    """The part before, displaced by brightness, without the stress stage if there is that, and after."""
+    initial, surface = outcome.problem.surface, outcome.surface
+    displaced = initial.vertices + outcome.displacement.heights[:, None] * initial.normals
+    surfaces = {"before": (initial.vertices, initial.faces), "displacement": (displaced, initial.faces)}
+    if outcome.unconstrained is not None:
+        surfaces["unconstrained"] = outcome.unconstrained
+    surfaces["after"] = (surface.vertices, surface.faces)
+    device = outcome.evaluator.device
+    return {
+        name: (torch.as_tensor(v, dtype=torch.float32, device=device), torch.as_tensor(f, device=device))
         for name, (v, f) in surfaces.items()
     }
-    relief_mm = np.einsum("vk,vk->v", refined.offsets, refined.normals) * piece.frame.mm_per_unit
-    rgb = piece.asset.closest_albedo(piece.frame.restore(refined.foot), refined.normals)
 
-    table = scores(job, shapes)
-    seconds["evaluate"] = job.lap()
 
-    say("checking the part")
-    distance = np.linalg.norm(refined.offsets, axis=1) * piece.frame.mm_per_unit
-    part_mm = piece.frame.to_print(refined.vertices)
+def scores_of(outcome: Outcome, shapes: Shapes, progress: Progress) -> dict[str, Any]:
+    """Scores of the shapes by name on the standard views and, under ``unseen``, on the unseen ones."""
+    scorer, pair = outcome.evaluator, outcome.problem.evaluation
+    progress.stage("scoring")
+    table: dict[str, Any] = scorer.scores({name: scorer.aligned(*shape) for name, shape in shapes.items()})
+    if not pair.reference.pictures:
+        progress.stage("scoring, unseen views")
+        unseen = Evaluator(pair.reference, pair.part, unseen_views(scorer.views), scorer.networks)
+        table["unseen"] = unseen.scores({name: unseen.aligned(*shape) for name, shape in shapes.items()})
+    return table
+
+
+def metrics_of(outcome: Outcome, scores: dict[str, Any], part_mm: np.ndarray) -> dict[str, Any]:
+    """The contents of ``metrics.json`` but for files, seconds and memory."""
+    problem, surface = outcome.problem, outcome.surface
+    distance = np.linalg.norm(surface.offsets, axis=1) * problem.frame.mm_per_unit
     metrics = {
-        "asset": piece.asset.name,
-        **table,
+        "asset": problem.asset.name,
+        **scores,
         "relief_mm": {
             "max": float(distance.max()),
             "p99": float(np.percentile(distance, 99)),
             "mean": float(distance.mean()),
         },
-        "contrast": piece.contrast,
-        "cap_mm": piece.cap_mm,
-        "displacement_amplitude": job.amplitude,
-        "solid": {**piece.report, **refined.report, **fabricate.check(part_mm, refined.faces)},
-        **({"stress": job.verdict} if job.verdict else {}),
-        **({"stress_stage_left_out": job.left_out} if job.left_out else {}),
-        "iterations": len(job.history),
-        "interrupted": interrupted,
+        "contrast": problem.contrast,
+        "cap_mm": problem.cap_mm,
+        "displacement_amplitude": outcome.displacement.amplitude,
+        "solid": {**problem.report, **surface.report, **check(part_mm, surface.faces)},
+        "nonfinite_gradients": sum(record.get("nonfinite_gradients", 0) for record in outcome.history),
     }
-    result = Result(
-        vertices_mm=part_mm,
-        vertices=piece.frame.restore(refined.vertices),
-        faces=refined.faces,
-        rgb=rgb,
-        relief_mm=relief_mm,
-        metrics=metrics,
-        history=job.history,
-        out=run.folder if run else None,
-    )
-    if run:
-        say("writing the files")
-        files = fabricate.write(run.folder, refined.vertices, refined.faces, piece.frame, rgb, piece.asset.name)
-        metrics["files"] = files
-        write_pictures(job, run.folder, refined, shapes, rgb, relief_mm, metrics, save_exr)
-    seconds["write"] = job.lap()
-    metrics["seconds"] = {"total": time.perf_counter() - started, **seconds}
-    metrics["peak_memory_gb"] = memory.peak_gb()
-    if run:
-        run.finish(metrics)
-    return result
+    if outcome.verification:
+        metrics["stress"] = outcome.verification
+    if outcome.stress_stage_left_out:
+        metrics["stress_stage_left_out"] = outcome.stress_stage_left_out
+    return metrics | {"iterations": len(outcome.history), "interrupted": outcome.interrupted}
 
 
 def write_pictures(
-    job: _Job,
-    folder: Path,
-    refined: RefinedSurface,
-    shapes: Shapes,
-    rgb: np.ndarray,
-    relief_mm: np.ndarray,
-    metrics: dict,
-    save_exr: bool,
+    outcome: Outcome, folder: Path, shapes: Shapes, rgb: np.ndarray, metrics: dict[str, Any], *, save_exr: bool
 ) -> None:
     """``before_after.png``, ``report.html`` and, on request, the buffers of every shape and view as OpenEXR."""
-    from genmf_mi.report import Report, View, write_before_after, write_report
-
-    piece, judge = job.piece, job.judge
-    shown = {name: judge.look(*shape) for name, shape in shapes.items()}
-    grey, mask = (
-        {name: getattr(b, channel)[:, 0].cpu().numpy() for name, b in shown.items()} for channel in ("grey", "coverage")
-    )
+    problem, surface, scorer = outcome.problem, outcome.surface, outcome.evaluator
+    buffers = {name: scorer.render(*shape) for name, shape in shapes.items()}
     # The scene still holds the refined shape, which was rendered last
-    relief = bridge.picture_of(judge.scene, judge.views, refined.faces, relief_mm)
-    colour = piece.judged_reference.colour(judge.views)
+    relief = bridge.picture_of(scorer.scene, scorer.views, surface.faces, outcome.relief_mm)
+    colour = problem.evaluation.reference.colour(scorer.views)
+
+    def image(name: str, channel: str, i: int) -> np.ndarray:
+        return getattr(buffers[name], channel)[i, 0].cpu().numpy()
+
     views = [
         View(
             label=view.label,
-            mask=mask["before"][i],
+            mask=image("before", "coverage", i),
             colour=colour[i],
-            reference=judge.seen[i, 0].cpu().numpy(),
-            before=grey["before"][i],
-            displacement=grey["displacement"][i],
-            after=grey["after"][i],
+            reference=scorer.target_grey[i, 0].cpu().numpy(),
+            before=image("before", "grey", i),
+            displacement=image("displacement", "grey", i),
+            after=image("after", "grey", i),
             relief_mm=relief[i],
-            displacement_mask=mask["displacement"][i],
-            after_mask=mask["after"][i],
+            displacement_mask=image("displacement", "coverage", i),
+            after_mask=image("after", "coverage", i),
         )
-        for i, view in enumerate(judge.views)
+        for i, view in enumerate(scorer.views)
     ]
-    write_before_after(folder / "before_after.png", views, piece.asset.name)
-    write_report(
-        folder / "report.html",
-        Report(
-            title=piece.asset.name,
-            views=views,
-            history=job.history,
-            metrics=metrics,
-            config=job.config.to_dict(),
-            vertices=refined.vertices,
-            faces=refined.faces,
-            colours=rgb,
-            relief_mm=relief_mm,
-            cap_mm=job.config.max_relief_mm,
-            size_mm=job.config.size_mm,
-            material=judge.scene.material,
-            steps=piece.report,
-            original=refined.foot,
-        ),
+    write_before_after(folder / "before_after.png", views, problem.asset.name)
+    report = Report(
+        title=problem.asset.name,
+        views=views,
+        history=outcome.history,
+        metrics=metrics,
+        config=outcome.config.to_dict(),
+        vertices=surface.vertices,
+        faces=surface.faces,
+        colours=rgb,
+        relief_mm=outcome.relief_mm,
+        cap_mm=outcome.config.max_relief_mm,
+        size_mm=outcome.config.size_mm,
+        material=scorer.scene.material,
+        steps=problem.report,
+        original=surface.foot,
     )
+    write_report(folder / "report.html", report)
     if save_exr:
-        from genmf_mi.render.exr import write_buffers
+        for name, shape in buffers.items():
+            write_buffers(folder / "exr" / name, scorer.views, shape)
 
-        for name, buffers in shown.items():
-            write_buffers(folder / "exr" / name, judge.views, buffers)
+
+BACKED_OFF = 0.01
+"""Share of the surface from which on it is worth a warning that relief was taken back."""
+
+
+def _warn(metrics: dict[str, Any], progress: Progress) -> None:
+    share = metrics["solid"].get("relief_backed_off", 0.0)
+    if share > BACKED_OFF:
+        progress.warn(f"relief was taken back on {share:.0%} of the surface, where it would have cut through itself")
+    if count := metrics["nonfinite_gradients"]:
+        progress.warn(f"{count} entries of the gradients were not finite and counted as 0: please report the asset")

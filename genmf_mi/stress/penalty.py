@@ -1,4 +1,4 @@
-"""Predicted stress as a term of a refinement's loss: looked at every few iterations, its gradient held in between.
+"""Predicted stress as a term of the loss: evaluated every few iterations, linear in between.
 
 The field is a smooth function of a shape that moves by hundredths of a millimetre per iteration, and costs as much as
 several renders.
@@ -7,62 +7,87 @@ several renders.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from genmf_mi.core.config import Weights
 from genmf_mi.losses import stress as losses
+from genmf_mi.losses.objective import weighted_sum
 from genmf_mi.stress.model.network import window
 from genmf_mi.stress.model.predictor import Predictor
-from genmf_mi.stress.training.metrics import BAND
+
+TERMS = ("stress_mean", "stress_variance", "stress_band", "stress_peak")
+"""E and Var over the body, E over its surface band, and the peak (E σ⁸)^⅛."""
 
 
 class StressPenalty:
-    """L_stress of a shape that is being refined, relative to the shape that it starts from.
+    """L_stress = Σ λ (L / L₀ − 1): each term relative to the initial shape, so that the penalty of that one is 0.
+
+    Between two evaluations the penalty is its tangent at the last one.
 
     Args:
-        predictor: tells the field.
-        distance: from the shape to Φ ``[1,n,n,n]``, differentiable: :class:`genmf_mi.geometry.mesh_distance.MeshDistance`
-            for the vertices of a mesh, the identity where the shape is Φ itself.
+        predictor: of the field.
+        distance: from the shape to Φ ``[1,n,n,n]``, differentiable.
         initial: the shape before its refinement, any tensor.
-        every: calls per look at the field.
+        every: calls per evaluation of the field.
+        band: depth of the surface band, in the unit of Φ.
+        weights: λ of the terms; those without a weight are reported only.
     """
 
-    def __init__(self, predictor: Predictor, distance: Callable[[Tensor], Tensor], initial: Tensor, every: int) -> None:
-        self.predictor, self.distance, self.every = predictor, distance, every
+    def __init__(
+        self,
+        predictor: Predictor,
+        distance: Callable[[Tensor], Tensor],
+        initial: Tensor,
+        *,
+        every: int,
+        band: float,
+        weights: Weights | None = None,
+    ) -> None:
+        self._predictor, self._distance, self._every, self._band = predictor, distance, every, band
+        self._weights = {name: getattr(weights or Weights(), name) for name in TERMS}
         with torch.no_grad():
             phi = distance(initial)
-            # One window for all looks, as the field jumps a little where it does
-            self.box = window(phi)
-            self.initial = self._measures(phi)
+            # One crop for all evaluations, as the field of a network changes a little with it
+            self._crop = window(phi)
+            self._initial = self._measures(phi)
         self._calls = 0
+        self._tangent: dict[str, Tensor] = {}
+        self._terms: dict[str, float] = {}
 
     def __call__(self, shape: Tensor) -> tuple[Tensor, dict[str, float]]:
-        """L_stress of ``shape``, 0 for the initial one, and each term as of the last look, over that of the initial
-        shape.
-
-        The scalar is linear in the shape between two looks.
-        """
-        if self._calls % self.every == 0:
-            self._look(shape)
+        """L_stress of ``shape``, and each L / L₀ as of the last evaluation."""
+        if self._calls % self._every == 0:
+            self._evaluate(shape)
         self._calls += 1
-        return self._loss + (self._gradient * (shape - self._anchor)).sum(), self._terms
+        value, at, gradient = (self._tangent[name] for name in ("value", "at", "gradient"))
+        return value + (gradient * (shape - at)).sum(), self._terms
 
-    def _look(self, shape: Tensor) -> None:
-        self._anchor = shape.detach().clone()
-        moving = self._anchor.clone().requires_grad_()
-        relative = {name: value / self.initial[name] for name, value in self._measures(self.distance(moving)).items()}
-        loss = sum(value - 1 for value in relative.values())
-        (self._gradient,) = torch.autograd.grad(loss, moving)
-        self._loss, self._terms = loss.detach(), {name: float(value.detach()) for name, value in relative.items()}
+    def state_dict(self) -> dict[str, Any]:
+        """All that the following calls depend on."""
+        return {"calls": self._calls, "tangent": dict(self._tangent), "terms": dict(self._terms)}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue from a :meth:`state_dict`."""
+        self._calls, self._terms = state["calls"], dict(state["terms"])
+        self._tangent = {
+            name: value.to(self._initial["stress_mean"].device) for name, value in state["tangent"].items()
+        }
+
+    def _evaluate(self, shape: Tensor) -> None:
+        at = shape.detach().clone()
+        moving = at.clone().requires_grad_()
+        relative = {name: value / self._initial[name] for name, value in self._measures(self._distance(moving)).items()}
+        value = weighted_sum({name: ratio - 1 for name, ratio in relative.items()}, self._weights)
+        (gradient,) = torch.autograd.grad(value, moving)
+        self._tangent = {"value": value.detach(), "at": at, "gradient": gradient}
+        self._terms = {name: float(ratio.detach()) for name, ratio in relative.items()}
 
     def _measures(self, phi: Tensor) -> dict[str, Tensor]:
-        """E and Var over the body, E over its surface band, and the peak; MPa and MPa²."""
-        field = self.predictor.field(phi, self.box)
-        body, band = losses.body(phi), losses.band(phi, BAND)
-        return {
-            "stress_mean": losses.mean(field, body),
-            "stress_variance": losses.variance(field, body),
-            "stress_band": losses.mean(field, band),
-            "stress_peak": losses.peak(field, body),
-        }
+        """The :data:`TERMS` in MPa, the variance in MPa²."""
+        field = self._predictor.field(phi, self._crop)
+        body, band = losses.body(phi), losses.band(phi, self._band)
+        measures = losses.mean(field, body), losses.variance(field, body), losses.mean(field, band)
+        return dict(zip(TERMS, (*measures, losses.peak(field, body)), strict=True))

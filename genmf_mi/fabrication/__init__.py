@@ -1,0 +1,1 @@
+"""What leaves for the printer: 3MF, STL and GLB files, and the checks of the part."""

@@ -1,0 +1,46 @@
+"""The checks that a part must pass before anybody spends filament on it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from genmf_mi.mesh import topology
+from genmf_mi.mesh.manifold import is_solid
+from genmf_mi.mesh.self_intersections import self_intersections
+from genmf_mi.render import bridge
+
+THIN_PERCENTILE = 1.0
+"""Percentile of the wall thickness that is reported as the smallest: a few sharp edges always measure zero."""
+
+
+def check(vertices_mm: np.ndarray, faces: np.ndarray) -> dict[str, Any]:
+    """What a slicer would complain about.
+
+    Args:
+        vertices_mm: ``[V,3]``. faces: ``[F,3]``.
+
+    Returns:
+        ``watertight`` (closed, oriented outwards, and a manifold to manifold3d), ``bodies``, ``self_intersections``
+        (faces that cut through another), ``volume_mm3``, ``area_mm2``, ``size_mm`` (three extents) and
+        ``min_thickness_mm``, see :func:`min_thickness`.
+    """
+    return {
+        "watertight": bool(is_solid(vertices_mm, faces)),
+        "bodies": int(topology.bodies(faces).max() + 1),
+        "self_intersections": len(self_intersections(vertices_mm, faces)),
+        "volume_mm3": float(topology.volume(vertices_mm, faces)),
+        "area_mm2": float(topology.areas(vertices_mm, faces).sum()),
+        "size_mm": [float(x) for x in np.ptp(vertices_mm, axis=0)],
+        "min_thickness_mm": min_thickness(vertices_mm, faces),
+    }
+
+
+def min_thickness(vertices_mm: np.ndarray, faces: np.ndarray, samples: int = 20_000) -> float:
+    """1st percentile of the wall thickness in mm over up to ``samples`` evenly spread faces, 0 without an inside: the
+    length of a ray from the middle of a face, against its normal, until it leaves the solid."""
+    chosen = np.linspace(0, len(faces) - 1, min(samples, len(faces))).astype(int)
+    walls = bridge.thickness(vertices_mm, faces, chosen)
+    walls = walls[np.isfinite(walls)]
+    return float(np.percentile(walls, THIN_PERCENTILE)) if len(walls) else 0.0

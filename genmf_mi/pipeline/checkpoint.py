@@ -1,0 +1,70 @@
+"""All that the next iteration depends on, in memory and as a file."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from pickle import UnpicklingError
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from genmf_mi.core.errors import OutputError
+from genmf_mi.core.files import atomic
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """The state of an optimisation between two iterations; tensors are copies.
+
+    iteration: the number of iterations made. parameters: of the surface.
+    optimiser: ``state_dict`` of :class:`genmf_mi.geometry.uniform_adam.UniformAdam`.
+    stress: ``state_dict`` of :class:`genmf_mi.pipeline.stress_stage.StressStage`.
+    stage_one: the state at the end of stage one, once stage two has begun.
+    """
+
+    iteration: int
+    parameters: tuple[Tensor, ...]
+    optimiser: dict[str, Any]
+    stress: dict[str, Any]
+    stage_one: Checkpoint | None = None
+
+    @classmethod
+    def of(
+        cls,
+        iteration: int,
+        parameters: tuple[Tensor, ...],
+        optimiser: torch.optim.Optimizer,
+        stress: dict[str, Any],
+        stage_one: Checkpoint | None = None,
+    ) -> Checkpoint:
+        """Copy the current state."""
+        copies = tuple(p.detach().cpu().clone() for p in parameters)
+        return cls(iteration, copies, copy.deepcopy(optimiser.state_dict()), copy.deepcopy(stress), stage_one)
+
+    def save(self, path: Path) -> None:
+        """Write the checkpoint, whole or not at all. Raises :class:`OutputError`."""
+        with atomic(path) as temporary, temporary.open("wb") as file:
+            torch.save(asdict(self), file)
+
+    @classmethod
+    def load(cls, path: Path) -> Checkpoint:
+        """Read what :meth:`save` wrote; the file cannot run code.
+
+        Raises:
+            OutputError: missing or damaged.
+        """
+        try:
+            return cls._from_dict(torch.load(path, map_location="cpu", weights_only=True))
+        except (OSError, RuntimeError, KeyError, ValueError, TypeError, EOFError, UnpicklingError) as error:
+            raise OutputError(f"the checkpoint in {path.parent} is damaged. Start again with --force.") from error
+
+    @classmethod
+    def _from_dict(cls, values: dict[str, Any]) -> Checkpoint:
+        checkpoint = cls(**values)
+        if not (isinstance(checkpoint.iteration, int) and isinstance(checkpoint.optimiser, dict)):
+            raise TypeError("not a checkpoint")
+        stage_one = checkpoint.stage_one
+        return replace(checkpoint, stage_one=cls._from_dict(stage_one)) if isinstance(stage_one, dict) else checkpoint
