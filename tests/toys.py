@@ -1,4 +1,4 @@
-"""A small painted egg, as a mesh and as files."""
+"""Small shapes that several tests use: a painted egg, as a mesh and as files; a sphere; noise."""
 
 from __future__ import annotations
 
@@ -21,3 +21,19 @@ def painted(path: str | Path) -> str:
     mesh.visual.vertex_colors = np.where(bright[:, None], (220, 120, 120, 255), (60, 60, 60, 255)).astype(np.uint8)
     mesh.export(path)
     return str(path)
+
+
+def sphere(subdivisions: int = 3, radius: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices, faces and exact normals."""
+    ball = trimesh.creation.icosphere(subdivisions)
+    directions = np.array(ball.vertices)
+    return radius * directions, np.array(ball.faces), directions
+
+
+def noise(*shape: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).standard_normal(shape)
+
+
+def stripes(points: np.ndarray) -> np.ndarray:
+    """Linear RGB ``[N,3]`` of a striped object."""
+    return np.where(np.sin(10 * points[:, 1:2] + 3 * points[:, :1]) > 0, np.float32([0.8, 0.2, 0.2]), np.float32(0.15))
