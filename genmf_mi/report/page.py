@@ -65,6 +65,7 @@ def render(report: Report) -> str:
     """The report as HTML text. All texts of the report are escaped."""
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters["label"] = tables.label
+    environment.filters["term"] = tables.term
     environment.filters["text"] = tables.text
     environment.filters["short"] = lambda value: f"{value:.3g}"
     comparisons, other = tables.compare({key: value for key, value in report.metrics.items() if key != "stress"})
@@ -81,7 +82,6 @@ def render(report: Report) -> str:
         other_metrics=other,
         stress=tables.stress(report.metrics),
         curves=drawn,
-        plot=(curves.WIDTH, curves.HEIGHT),
         samples=_samples(report.history, [curve.name for curve in drawn]),
         settings=[(".".join(path), tables.text(value)) for path, value in tables.flatten(report.config)],
         steps=tables.rows({key: value for key, value in report.steps.items() if not _is_log(value)}),

@@ -36,11 +36,26 @@ _WORDS = {
     "self_intersections_asset": "self-intersections in the file",
     "self_intersections_before": "self-intersections before refining",
     "self_intersections": "self-intersections",
+    "ssim_mask": "SSIM inside the silhouette",
+    "g_ssim_mask": "SSIM of gradients, inside the silhouette",
+    "lpips_mask_alex": "LPIPS (AlexNet) inside the silhouette",
+    "lpips_mask_vgg": "LPIPS (VGG16) inside the silhouette",
+    "grey_lpips": "grey LPIPS",
+    "gradient": "gradient match",
+    "gradient_sign": "gradient sign",
+    "normal_flip": "flipped normals",
+    "sdf_tv": "total variation of the SDF",
+    "l_dev": "FlexiCubes L_dev",
+    "flexi_weight_reg": "FlexiCubes weights",
+    "stress": "predicted stress, L_stress",
     "stress_mean": "predicted stress, mean (1: before)",
     "stress_variance": "predicted stress, variance (1: before)",
     "stress_band": "predicted stress, surface band (1: before)",
     "stress_peak": "predicted stress, peak (1: before)",
+    "relief_backed_off": "relief taken back, share of the surface",
+    "nonfinite_gradients": "gradients that were not finite",
 }
+_TERMS = {"loss": "total loss", "ssim": "1 − SSIM", "gradient_ssim": "1 − SSIM of gradients"}
 _UNITS = {"mm": "mm", "mm2": "mm²", "mm3": "mm³", "seconds": "s", "s": "s", "deg": "°", "mb": "MB"}
 
 
@@ -82,6 +97,11 @@ def label(path: tuple[str, ...] | str) -> str:
     """A path as people read it: ``("unseen", "lpips_alex")`` becomes "unseen · LPIPS (AlexNet)"."""
     path = (path,) if isinstance(path, str) else path
     return " · ".join(_WORDS.get(key) or _without_unit(key).replace("_", " ") for key in path)
+
+
+def term(name: str) -> str:
+    """A loss term as people read it: as :func:`label`, but what falls as the similarity rises is not called by it."""
+    return _TERMS.get(name) or label(name)
 
 
 def _without_unit(key: str) -> str:
@@ -140,7 +160,11 @@ def compare(metrics: dict) -> tuple[list[Comparison], list[tuple[str, str]]]:
 
 
 def stress(metrics: dict) -> TextTable | None:
-    """What the solver says of a run (:func:`genmf_mi.stress.report.verification.judge`) next to LPIPS; None if it was not asked."""
+    """Thermal stress of the shapes of a run next to their LPIPS; None if the run was not verified.
+
+    Args:
+        metrics: with the result of :func:`genmf_mi.stress.report.verification.verify` as ``stress``.
+    """
     verdict = metrics.get("stress") or {}
     if "ratio" not in verdict:
         return None
