@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from numbers import Number
+from typing import TypeGuard
 
 import numpy as np
 
@@ -246,7 +247,7 @@ def change(name: str, before: object, after: object) -> str:
     return f"{amount}, {'better' if direction * difference > 0 else 'worse'}" if direction else amount
 
 
-def is_finite(value: object) -> bool:
+def is_finite(value: object) -> TypeGuard[float]:
     """Whether ``value`` is a finite number (booleans are not numbers here)."""
     return isinstance(value, (int, float, np.number)) and not isinstance(value, bool) and math.isfinite(value)
 

@@ -15,7 +15,8 @@ from PIL import Image
 from toy_report import METRICS
 
 from genmf_mi.report import packing, tables, write_before_after, write_report
-from genmf_mi.report.page import notes, render, tiles
+from genmf_mi.report.page import render
+from genmf_mi.report.summary import tiles
 
 
 class Balanced(HTMLParser):
@@ -132,16 +133,3 @@ def test_same_run_same_bytes(tmp_path, report):
         write_before_after(tmp_path / f"{name}.png", report.views, report.title)
     for suffix in ("html", "png"):
         assert (tmp_path / f"a.{suffix}").read_bytes() == (tmp_path / f"b.{suffix}").read_bytes()
-
-
-def test_key_numbers_judge_by_direction(report):
-    lpips, ssim, unseen, relief, solid, time = tiles(report)
-    assert (lpips.value, lpips.good, lpips.details[0]) == ("0.2257 → 0.1418", True, "−0.0839 (−37 %), better")
-    assert (ssim.value, ssim.good) == ("0.7988 → 0.8253", True)
-    assert (unseen.value, unseen.details[1]) == ("0.2010 → 0.1344", "luminance displacement: –")
-    assert (relief.value, relief.good) == ("0.93\N{NO-BREAK SPACE}mm", True)
-    assert (solid.value, time.value) == ("watertight", "2 min 23 s")
-    deep = {**METRICS, "relief_mm": {"max": 1.2}, "solid": {"watertight": False, "self_intersections": 7}}
-    worse = dataclasses.replace(report, metrics=deep)
-    assert [tile.good for tile in tiles(worse)[3:5]] == [False, False]
-    assert len(notes(worse)) == len(notes(report)) + 2
