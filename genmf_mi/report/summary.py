@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from genmf_mi.report import tables
 from genmf_mi.report.model import Report
 
-BACKED_OFF_NOTICED = 0.01
+NOTICEABLE_BACK_OFF = 0.01
 """A note says how much relief was taken back where it is more than this share of the surface."""
 
 
@@ -43,7 +43,7 @@ def tiles(report: Report) -> list[Tile]:
             "Solid",
             tables.DASH if watertight is None else "watertight" if watertight else "not watertight",
             [
-                f"bodies: {tables.text(flat.get('solid.bodies'))}, "
+                f"components: {tables.text(flat.get('solid.bodies'))}, "
                 f"self-intersections: {tables.text(flat.get('solid.self_intersections'))}",
                 f"volume: {tables.with_unit(('volume_mm3',), flat.get('solid.volume_mm3'))}",
             ],
@@ -81,12 +81,12 @@ def notes(report: Report) -> list[str]:
         written.append(f"There was no stress stage: {reason}. Print it larger, or with thicker walls.")
     if metrics.get("solid.watertight") is False:
         written.append("The part is not watertight. Let the slicer repair it, and look at its preview layer by layer.")
-    if tables.is_finite(crossed := metrics.get("solid.self_intersections")) and crossed > 0:
+    if tables.is_finite(intersecting := metrics.get("solid.self_intersections")) and intersecting > 0:
         written.append(
-            f"{tables.text(crossed)} pairs of faces intersect. Slicers unite them; look at the preview where the "
+            f"{tables.text(intersecting)} pairs of faces intersect. Slicers unite them; look at the preview where the "
             "surface folds."
         )
-    if tables.is_finite(share := metrics.get("relief_backed_off")) and share > BACKED_OFF_NOTICED:
+    if tables.is_finite(share := metrics.get("relief_backed_off")) and share > NOTICEABLE_BACK_OFF:
         written.append(
             f"The relief was taken back on {tables.percent(share)} of the surface, where it would have cut through "
             "itself."

@@ -20,7 +20,7 @@ STRESSES = (
     ("surface_band_mean", "surface band, mean", ("surface_band", "mean")),
     ("surface_band_p99_9", "surface band, max", ("surface_band", "p99_9")),
 )
-"""Names among the ratios of a verdict, for people, and where each stands in a summary of stress."""
+"""Measures of stress: key among the ratios of a verification, name for people, and path in the summary of a shape."""
 
 _WORDS = {
     "ssim": "SSIM",
@@ -37,6 +37,15 @@ _WORDS = {
     "self_intersections_asset": "self-intersections in the file",
     "self_intersections_before": "self-intersections before refining",
     "self_intersections": "self-intersections",
+    "new_self_intersections": "new self-intersections",
+    "untangled": "self-intersections backed off",
+    "vertices_held_back": "vertices whose relief was reduced",
+    "samples_held_back": "samples whose relief was reduced",
+    "bodies": "components",
+    "bodies_before": "components before",
+    "stray_bodies_dropped": "small components dropped",
+    "open_edges_before": "boundary edges before",
+    "crowded_edges_before": "non-manifold edges before",
     "ssim_mask": "SSIM inside the silhouette",
     "g_ssim_mask": "SSIM of gradients, inside the silhouette",
     "lpips_mask_alex": "LPIPS (AlexNet) inside the silhouette",
@@ -166,28 +175,28 @@ def stress(metrics: dict) -> TextTable | None:
     Args:
         metrics: with the result of :func:`genmf_mi.stress.report.verification.verify` as ``stress``.
     """
-    verdict = metrics.get("stress") or {}
-    if "ratio" not in verdict:
+    verification = metrics.get("stress") or {}
+    if "ratio" not in verification:
         return None
     titles = {"before": "Before", "unconstrained": "Without stress stage", "after": "Refined"}
-    shapes = [name for name in titles if name in verdict["shapes"]]
-    compared = "constrained" in verdict["ratio"]
+    shapes = [name for name in titles if name in verification["shapes"]]
+    compared = "constrained" in verification["ratio"]
     rows = []
     for key, name, (group, quantity) in STRESSES:
         row = [name]
         for shape in shapes:
-            ratio = verdict["ratio"].get(shape, {}).get(key)
-            row.append(with_ratio(verdict["shapes"][shape][group][quantity], ratio))
+            ratio = verification["ratio"].get(shape, {}).get(key)
+            row.append(with_ratio(verification["shapes"][shape][group][quantity], ratio))
         if compared:
-            remains = verdict["remains"].get(key)
-            row += [_times(verdict["ratio"]["constrained"].get(key)), percent(remains)]
+            remains = verification["remains"].get(key)
+            row += [_times(verification["ratio"]["constrained"].get(key)), percent(remains)]
         rows.append(row)
-    seen = {shape: metrics.get(shape, {}).get("lpips_alex") for shape in shapes}
-    row = [label("lpips_alex"), *(_cell("lpips_alex", seen[shape]) for shape in shapes)]
+    lpips = {shape: metrics.get(shape, {}).get("lpips_alex") for shape in shapes}
+    row = [label("lpips_alex"), *(_cell("lpips_alex", lpips[shape]) for shape in shapes)]
     if compared:
-        kept = kept_gain(seen["before"], seen["unconstrained"], seen["after"])
+        kept = kept_gain(lpips["before"], lpips["unconstrained"], lpips["after"])
         row += [
-            _times(seen["after"] / seen["unconstrained"] if seen["unconstrained"] else None),
+            _times(lpips["after"] / lpips["unconstrained"] if lpips["unconstrained"] else None),
             DASH if kept is None else f"{percent(kept)} kept",
         ]
     columns = ["", *(titles[shape] for shape in shapes)]

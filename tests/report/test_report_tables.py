@@ -52,7 +52,7 @@ def summary(p99_9: float, mean: float, band: float) -> dict:
 
 
 def verified() -> dict:
-    """Metrics of a run with its three shapes simulated, and the ratios that the solver would tell."""
+    """Metrics of a run with its three shapes simulated, and the ratios of the verification."""
     shapes = {"before": (1.0, 0.4, 0.5), "unconstrained": (2.0, 0.44, 0.6), "after": (1.5, 0.42, 0.55)}
     keys = [key for key, *_ in tables.STRESSES]
     return {
@@ -70,7 +70,7 @@ def verified() -> dict:
     }
 
 
-def test_stress_is_told_next_to_lpips(report):
+def test_stress_is_shown_next_to_lpips(report):
     """In its own table, and nowhere else."""
     table = tables.stress(verified())
     assert table.columns[1:4] == ["Before", "Without stress stage", "Refined"]
