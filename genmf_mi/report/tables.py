@@ -38,7 +38,7 @@ _WORDS = {
     "self_intersections_before": "self-intersections before refining",
     "self_intersections": "self-intersections",
     "new_self_intersections": "new self-intersections",
-    "untangled": "self-intersections backed off",
+    "untangled": "self-intersections with the full relief",
     "vertices_held_back": "vertices whose relief was reduced",
     "samples_held_back": "samples whose relief was reduced",
     "bodies": "components",
@@ -46,10 +46,10 @@ _WORDS = {
     "stray_bodies_dropped": "small components dropped",
     "open_edges_before": "boundary edges before",
     "crowded_edges_before": "non-manifold edges before",
-    "ssim_mask": "SSIM inside the silhouette",
-    "g_ssim_mask": "SSIM of gradients, inside the silhouette",
-    "lpips_mask_alex": "LPIPS (AlexNet) inside the silhouette",
-    "lpips_mask_vgg": "LPIPS (VGG16) inside the silhouette",
+    "ssim_mask": "SSIM, silhouette",
+    "g_ssim_mask": "SSIM of gradients, silhouette",
+    "lpips_mask_alex": "LPIPS (AlexNet), silhouette",
+    "lpips_mask_vgg": "LPIPS (VGG16), silhouette",
     "grey_lpips": "grey LPIPS",
     "gradient": "gradient match",
     "gradient_sign": "gradient sign",
@@ -66,7 +66,7 @@ _WORDS = {
     "nonfinite_gradients": "gradients that were not finite",
 }
 _TERMS = {"loss": "total loss", "ssim": "1 − SSIM", "gradient_ssim": "1 − SSIM of gradients"}
-_UNITS = {"mm": "mm", "mm2": "mm²", "mm3": "mm³", "seconds": "s", "s": "s", "deg": "°", "mb": "MB"}
+_UNITS = {"mm": "mm", "mm2": "mm²", "mm3": "mm³", "seconds": "s", "s": "s", "deg": "°", "mb": "MB", "gb": "GB"}
 
 
 @dataclass(frozen=True)

@@ -54,6 +54,17 @@ def test_page_is_self_contained_and_well_formed(tmp_path, report):
     assert "default-src 'none'" in page.xpath("//meta[@http-equiv]/@content")[0]
 
 
+def test_page_without_javascript_hides_what_needs_it(report):
+    """No empty 3D view that says it is being unpacked; what is left is there without a script."""
+    page = html.document_fromstring(render(report))
+    (style,) = page.xpath("//head/noscript/style/text()")
+    for selector in ("#viewer canvas", "#viewer-message", "#viewer-hint"):
+        assert selector in style.split("{")[0]
+    assert page.xpath("//body//noscript/p[contains(., 'needs JavaScript')]")
+    hidden = page.xpath("//*[@hidden]")
+    assert hidden and all(element.xpath("ancestor::*[@id='viewer']") for element in hidden)
+
+
 def test_pictures_of_the_page_are_images_with_alternative_text(report):
     page = html.document_fromstring(render(report))
     images = page.xpath("//img")

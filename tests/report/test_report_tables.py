@@ -73,6 +73,7 @@ def verified() -> dict:
 def test_stress_is_shown_next_to_lpips(report):
     """In its own table, and nowhere else."""
     table = tables.stress(verified())
+    assert table
     assert table.columns[1:4] == ["Before", "Without stress stage", "Refined"]
     assert table.rows[0][1:] == ["1.000", "2.000 ×2.00", "1.500 ×1.50", "×0.75", "50 %"]
     assert table.rows[2][-1] == tables.DASH
@@ -93,6 +94,7 @@ def test_stress_without_a_stress_stage():
         del place["unconstrained"]
     del metrics["stress"]["ratio"]["constrained"], metrics["stress"]["remains"]
     table = tables.stress(metrics)
+    assert table
     assert table.columns == ["", "Before", "Refined"]
     assert table.rows[0][1:] == ["1.000", "1.500 ×1.50"] and table.rows[-1][1:] == ["0.2257", "0.1418"]
     assert tables.stress(METRICS) is None
