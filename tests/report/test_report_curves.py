@@ -26,7 +26,7 @@ def ticks(curve: curves.Curve) -> dict[str, float]:
     """Heights of the grid lines by their labels."""
     svg = html.fromstring(curve.svg)
     labels = svg.xpath("//text[@text-anchor='end']/text()")
-    lines = [float(re.match(r"M[\d.]+ ([\d.]+)L", path)[1]) for path in svg.xpath("//path[@class='grid']/@d")]
+    lines = [float(re.split("[ L]", path)[1]) for path in svg.xpath("//path[@class='grid']/@d")]
     assert len(labels) == len(lines)
     return dict(zip(labels, lines))
 
