@@ -60,7 +60,8 @@ class Report:
     relief_mm: ``[V]``, signed relief in mm.
     cap_mm: the largest relief allowed, and the range of the relief colours.
     size_mm: longest side of the printed object.
-    material: parameters of ``twolight`` that the views were rendered with, :attr:`genmf_mi.render.scene.Scene.material`.
+    material: parameters of ``twolight`` that the views were rendered with,
+        :attr:`genmf_mi.render.scene.Scene.material`.
     steps: what was done to the mesh before refining, as the ``solid`` block of the metrics reports it.
     original: ``[V,3]``, the shape before refining with the same ``faces``; without it the 3D view cannot compare.
     """

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from numbers import Number
+from typing import TypeGuard
 
 import numpy as np
 
@@ -19,7 +20,7 @@ STRESSES = (
     ("surface_band_mean", "surface band, mean", ("surface_band", "mean")),
     ("surface_band_p99_9", "surface band, max", ("surface_band", "p99_9")),
 )
-"""Names among the ratios of a verdict, for people, and where each stands in a summary of stress."""
+"""Measures of stress: key among the ratios of a verification, name for people, and path in the summary of a shape."""
 
 _WORDS = {
     "ssim": "SSIM",
@@ -36,12 +37,36 @@ _WORDS = {
     "self_intersections_asset": "self-intersections in the file",
     "self_intersections_before": "self-intersections before refining",
     "self_intersections": "self-intersections",
+    "new_self_intersections": "new self-intersections",
+    "untangled": "self-intersections with the full relief",
+    "vertices_held_back": "vertices whose relief was reduced",
+    "samples_held_back": "samples whose relief was reduced",
+    "bodies": "components",
+    "bodies_before": "components before",
+    "stray_bodies_dropped": "small components dropped",
+    "open_edges_before": "boundary edges before",
+    "crowded_edges_before": "non-manifold edges before",
+    "ssim_mask": "SSIM, silhouette",
+    "g_ssim_mask": "SSIM of gradients, silhouette",
+    "lpips_mask_alex": "LPIPS (AlexNet), silhouette",
+    "lpips_mask_vgg": "LPIPS (VGG16), silhouette",
+    "grey_lpips": "grey LPIPS",
+    "gradient": "gradient match",
+    "gradient_sign": "gradient sign",
+    "normal_flip": "flipped normals",
+    "sdf_tv": "total variation of the SDF",
+    "l_dev": "FlexiCubes L_dev",
+    "flexi_weight_reg": "FlexiCubes weights",
+    "stress": "predicted stress, L_stress",
     "stress_mean": "predicted stress, mean (1: before)",
     "stress_variance": "predicted stress, variance (1: before)",
     "stress_band": "predicted stress, surface band (1: before)",
     "stress_peak": "predicted stress, peak (1: before)",
+    "relief_backed_off": "relief taken back, share of the surface",
+    "nonfinite_gradients": "gradients that were not finite",
 }
-_UNITS = {"mm": "mm", "mm2": "mm²", "mm3": "mm³", "seconds": "s", "s": "s", "deg": "°", "mb": "MB"}
+_TERMS = {"loss": "total loss", "ssim": "1 − SSIM", "gradient_ssim": "1 − SSIM of gradients"}
+_UNITS = {"mm": "mm", "mm2": "mm²", "mm3": "mm³", "seconds": "s", "s": "s", "deg": "°", "mb": "MB", "gb": "GB"}
 
 
 @dataclass(frozen=True)
@@ -82,6 +107,11 @@ def label(path: tuple[str, ...] | str) -> str:
     """A path as people read it: ``("unseen", "lpips_alex")`` becomes "unseen · LPIPS (AlexNet)"."""
     path = (path,) if isinstance(path, str) else path
     return " · ".join(_WORDS.get(key) or _without_unit(key).replace("_", " ") for key in path)
+
+
+def term(name: str) -> str:
+    """A loss term as people read it: as :func:`label`, but what falls as the similarity rises is not called by it."""
+    return _TERMS.get(name) or label(name)
 
 
 def _without_unit(key: str) -> str:
@@ -140,29 +170,33 @@ def compare(metrics: dict) -> tuple[list[Comparison], list[tuple[str, str]]]:
 
 
 def stress(metrics: dict) -> TextTable | None:
-    """What the solver says of a run (:func:`genmf_mi.stress.report.verification.judge`) next to LPIPS; None if it was not asked."""
-    verdict = metrics.get("stress") or {}
-    if "ratio" not in verdict:
+    """Thermal stress of the shapes of a run next to their LPIPS; None if the run was not verified.
+
+    Args:
+        metrics: with the result of :func:`genmf_mi.stress.report.verification.verify` as ``stress``.
+    """
+    verification = metrics.get("stress") or {}
+    if "ratio" not in verification:
         return None
     titles = {"before": "Before", "unconstrained": "Without stress stage", "after": "Refined"}
-    shapes = [name for name in titles if name in verdict["shapes"]]
-    compared = "constrained" in verdict["ratio"]
+    shapes = [name for name in titles if name in verification["shapes"]]
+    compared = "constrained" in verification["ratio"]
     rows = []
     for key, name, (group, quantity) in STRESSES:
         row = [name]
         for shape in shapes:
-            ratio = verdict["ratio"].get(shape, {}).get(key)
-            row.append(with_ratio(verdict["shapes"][shape][group][quantity], ratio))
+            ratio = verification["ratio"].get(shape, {}).get(key)
+            row.append(with_ratio(verification["shapes"][shape][group][quantity], ratio))
         if compared:
-            remains = verdict["remains"].get(key)
-            row += [_times(verdict["ratio"]["constrained"].get(key)), percent(remains)]
+            remains = verification["remains"].get(key)
+            row += [_times(verification["ratio"]["constrained"].get(key)), percent(remains)]
         rows.append(row)
-    seen = {shape: metrics.get(shape, {}).get("lpips_alex") for shape in shapes}
-    row = [label("lpips_alex"), *(_cell("lpips_alex", seen[shape]) for shape in shapes)]
+    lpips = {shape: metrics.get(shape, {}).get("lpips_alex") for shape in shapes}
+    row = [label("lpips_alex"), *(_cell("lpips_alex", lpips[shape]) for shape in shapes)]
     if compared:
-        kept = kept_gain(seen["before"], seen["unconstrained"], seen["after"])
+        kept = kept_gain(lpips["before"], lpips["unconstrained"], lpips["after"])
         row += [
-            _times(seen["after"] / seen["unconstrained"] if seen["unconstrained"] else None),
+            _times(lpips["after"] / lpips["unconstrained"] if lpips["unconstrained"] else None),
             DASH if kept is None else f"{percent(kept)} kept",
         ]
     columns = ["", *(titles[shape] for shape in shapes)]
@@ -222,7 +256,7 @@ def change(name: str, before: object, after: object) -> str:
     return f"{amount}, {'better' if direction * difference > 0 else 'worse'}" if direction else amount
 
 
-def is_finite(value: object) -> bool:
+def is_finite(value: object) -> TypeGuard[float]:
     """Whether ``value`` is a finite number (booleans are not numbers here)."""
     return isinstance(value, (int, float, np.number)) and not isinstance(value, bool) and math.isfinite(value)
 
