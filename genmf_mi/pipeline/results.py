@@ -156,6 +156,8 @@ def metrics_of(outcome: Outcome, scores: dict[str, Any], part_mm: np.ndarray) ->
     """The contents of ``metrics.json`` but for files, seconds and memory."""
     problem, surface = outcome.problem, outcome.surface
     distance = np.linalg.norm(surface.offsets, axis=1) * problem.frame.mm_per_unit
+    report = dict(surface.report)
+    backed_off = report.pop("relief_backed_off", 0.0)
     metrics = {
         "asset": problem.asset.name,
         **scores,
@@ -167,7 +169,8 @@ def metrics_of(outcome: Outcome, scores: dict[str, Any], part_mm: np.ndarray) ->
         "contrast": problem.contrast,
         "cap_mm": problem.cap_mm,
         "displacement_amplitude": outcome.displacement.amplitude,
-        "solid": {**problem.report, **surface.report, **check(part_mm, surface.faces)},
+        "relief_backed_off": backed_off,
+        "solid": {**problem.report, **report, **check(part_mm, surface.faces)},
         "nonfinite_gradients": sum(record.get("nonfinite_gradients", 0) for record in outcome.history),
     }
     if outcome.verification:
@@ -233,7 +236,7 @@ BACKED_OFF = 0.01
 
 
 def _warn(metrics: dict[str, Any], progress: Progress) -> None:
-    share = metrics["solid"].get("relief_backed_off", 0.0)
+    share = metrics["relief_backed_off"]
     if share > BACKED_OFF:
         progress.warn(f"relief was taken back on {share:.0%} of the surface, where it would have cut through itself")
     if count := metrics["nonfinite_gradients"]:

@@ -10,11 +10,13 @@ from scipy.spatial import cKDTree
 
 from genmf_mi.assets.sdf_asset import SdfAsset
 from genmf_mi.core.frame import Frame
-from genmf_mi.geometry.sdf import SdfParameterization
-from genmf_mi.geometry.sdf_distance import FieldDistance, slope, weights_of
+from genmf_mi.geometry.displacement_bounds import DisplacementBounds
+from genmf_mi.geometry.sdf import SdfParameterization, SdfState
+from genmf_mi.geometry.sdf_distance import free_weights, slope
 from genmf_mi.losses.sdf import l_dev, sdf_tv
-from genmf_mi.mesh import meshlab, topology
+from genmf_mi.mesh import topology
 from genmf_mi.mesh.manifold import is_solid
+from genmf_mi.mesh.self_intersections import self_intersections
 from genmf_mi.sdf import flexicubes
 from genmf_mi.sdf.distance import signed_distance
 from genmf_mi.sdf.grid import without_specks
@@ -45,23 +47,24 @@ def generated() -> SdfAsset:
                     centre=(1.0, 2.0, 3.0), half=0.5)  # fmt: skip
 
 
-def made(asset: SdfAsset, inward=CAP, outward=CAP, *, smoothing: float = 3.0, broad: float = 1.0):
+def parameterized(asset: SdfAsset, inward=CAP, outward=CAP, *, smoothing: float = 3.0, wavelength: float = 1.0):
     vertices, faces = asset.surface(training=True)
     frame = Frame.of(vertices, 100.0)
     vertices = frame.normalise(vertices)
-    room = [np.broadcast_to(x, len(vertices)).astype(float) for x in (inward, outward)]
+    bounds = DisplacementBounds(*(np.broadcast_to(x, len(vertices)).astype(float) for x in (inward, outward, 0)))
     normals = topology.vertex_normals(vertices, faces)
-    return SdfParameterization(asset, frame, vertices, faces, normals, *room, smoothing=smoothing, broad=broad)
+    return SdfParameterization(
+        asset, frame, vertices, faces, normals, bounds, smoothing=smoothing, wavelength=wavelength
+    )
 
 
 def disturbed(geometry: SdfParameterization, strength: float = 1.0, seed: int = 0) -> SdfParameterization:
-    """The same with random latents, smooth in the field and free in deformation and weights."""
+    """The same with random parameters, smooth in the field and free in deformation and weights."""
     generator = torch.Generator().manual_seed(seed)
-    field, bend, weights = geometry.blocks
     with torch.no_grad():
-        for block, size in ((field, 1.0), (bend, 0.5), (weights, 0.5)):
-            count = block.stop - block.start
-            geometry.latent[block] = strength * size * torch.randn(count, generator=generator)
+        for parameter, size in zip(geometry.parameters, (1.0, 0.5, 0.5)):
+            random = torch.randn(parameter.numel(), generator=generator).view_as(parameter)
+            parameter.copy_(strength * size * random)
     return geometry
 
 
@@ -98,12 +101,14 @@ def test_shell_against_brute_force(bent):
 class TestAtRest:
     @pytest.mark.parametrize("asset", [ball(), generated()], ids=["ball", "generated"])
     def test_is_the_assets_own_surface(self, asset):
-        geometry = made(asset)
-        now = geometry.moved()
+        geometry = parameterized(asset)
+        now = geometry.geometry()
         np.testing.assert_array_equal(now.faces, geometry.faces)
         np.testing.assert_allclose(now.vertices.detach(), geometry.vertices, atol=2e-6)
-        assert now.shape.detach().equal(torch.tensor(asset.phi)) and geometry.initial.equal(torch.tensor(asset.phi))
-        part = geometry.finished(geometry.reached(), meshlab.self_intersections)
+        assert now.shape.detach().equal(torch.tensor(asset.phi)) and geometry.initial_shape.equal(
+            torch.tensor(asset.phi)
+        )
+        part = geometry.finish(geometry.state(), self_intersections)
         np.testing.assert_allclose(part.vertices, geometry.vertices, atol=2e-6)
         np.testing.assert_allclose(part.offsets, 0, atol=2e-6)
         assert part.report["samples_held_back"] == 0
@@ -115,29 +120,30 @@ class TestAtRest:
         rows[[5, 9]] = 1, 0
         some = SdfAsset("some", asset.phi, weights=asset.weights[:2], rows=rows)
         np.testing.assert_array_equal(
-            weights_of(some, np.array([5, 7, 9])), np.stack([asset.weights[1], 0 * asset.weights[0], asset.weights[0]])
+            free_weights(some, np.array([5, 7, 9])),
+            np.stack([asset.weights[1], 0 * asset.weights[0], asset.weights[0]]),
         )
-        np.testing.assert_array_equal(weights_of(asset, np.array([3, 8])), asset.weights[[3, 8]])
-        assert not weights_of(ball(), np.array([3, 8])).any()
+        np.testing.assert_array_equal(free_weights(asset, np.array([3, 8])), asset.weights[[3, 8]])
+        assert not free_weights(ball(), np.array([3, 8])).any()
 
 
 class TestBounds:
     def test_phi_stays_within_the_cap(self):
-        geometry = disturbed(made(ball()), 100.0)
-        change = (geometry.moved().shape - geometry.initial).detach() * geometry.scale
+        geometry = disturbed(parameterized(ball()), 100.0)
+        change = (geometry.geometry().shape - geometry.initial_shape).detach() * geometry.scale
         assert 0.9 * CAP < change.abs().max() <= CAP * 1.03, "the slope of this field is one but for the sampling"
 
     @pytest.mark.parametrize("strength", [0.3, 3.0])
     @pytest.mark.parametrize("asset", [ball(), generated()], ids=["ball", "generated"])
-    def test_finished_is_a_solid_within_its_room(self, asset, strength):
-        """Whatever the latents are: closed, not through itself, and no vertex farther from the initial surface."""
-        part = made(asset)
+    def test_finished_surface_is_a_solid_within_its_bounds(self, asset, strength):
+        """Whatever the parameters are: closed, not through itself, and no vertex farther from the initial surface."""
+        part = parameterized(asset)
         room = [np.where(part.vertices[:, 0] > 0, CAP, 0.3 * CAP), np.where(part.vertices[:, 0] > 0, 0.5 * CAP, CAP)]
-        geometry = disturbed(made(asset, *room), strength)
-        before = len(meshlab.self_intersections(geometry.vertices, geometry.faces))
-        done = geometry.finished(geometry.reached(), meshlab.self_intersections)
+        geometry = disturbed(parameterized(asset, *room), strength)
+        before = len(self_intersections(geometry.vertices, geometry.faces))
+        done = geometry.finish(geometry.state(), self_intersections)
         assert is_solid(done.vertices, done.faces)
-        assert len(meshlab.self_intersections(done.vertices, done.faces)) <= before
+        assert len(self_intersections(done.vertices, done.faces)) <= before
         assert done.report["self_intersections_before"] == before
         squared, face, _ = igl.point_mesh_squared_distance(done.vertices, geometry.vertices, geometry.faces)
         height = np.einsum("vk,vk->v", done.offsets, done.normals)
@@ -147,9 +153,9 @@ class TestBounds:
         np.testing.assert_allclose(np.linalg.norm(done.normals, axis=1), 1)
 
     @pytest.mark.parametrize("failures", [1, 4])
-    def test_untangling_stays_where_it_is_needed(self, failures):
+    def test_back_off_stays_where_it_is_needed(self, failures):
         """First deformation and weights go, and where that is not enough Φ; all else is left as it was."""
-        geometry = disturbed(made(ball()))
+        geometry = disturbed(parameterized(ball()))
         spot, answers = geometry.vertices[0], iter([0] + [1] * failures + [0])
 
         def crossings(vertices, faces):
@@ -157,29 +163,31 @@ class TestBounds:
 
         def cells_apart(points, others, low, high):
             """Of ``points`` between so many cells from the spot."""
-            away = np.linalg.norm(points - spot, axis=1) / geometry.cell
-            return cKDTree(others).query(points[(away >= low) & (away < high)])[0].max() / geometry.cell
+            cell = geometry.cell * geometry.scale
+            away = np.linalg.norm(points - spot, axis=1) / cell
+            return cKDTree(others).query(points[(away >= low) & (away < high)])[0].max() / cell
 
-        before = geometry.surface(geometry.reached())[0]
-        done = geometry.finished(geometry.reached(), crossings)
+        before = geometry.surface(geometry.state())[0]
+        done = geometry.finish(geometry.state(), crossings)
         assert done.report["untangled"] == 1 and 0 < done.report["samples_held_back"] < len(geometry.samples) / 4
         with torch.no_grad():
-            geometry.latent[geometry.blocks[1].start :] = 0
-        plain = geometry.surface(geometry.reached())[0]
+            for parameter in geometry.parameters[1:]:
+                parameter.zero_()
+        plain = geometry.surface(geometry.state())[0]
         wanted, other = (plain, geometry.vertices) if failures == 1 else (geometry.vertices, plain)
         assert cells_apart(done.vertices, wanted, 0, 1) < 0.02 < 0.1 < cells_apart(before, wanted, 0, 1)
         assert cells_apart(done.vertices, other, 0, 1) > 0.1
         assert cells_apart(before, done.vertices, 9, np.inf) < 1e-9
 
-    def test_without_end_to_crossings_the_initial_surface_is_left(self):
-        geometry = disturbed(made(ball()), 3.0)
+    def test_without_end_to_intersections_the_initial_surface_is_left(self):
+        geometry = disturbed(parameterized(ball()), 3.0)
         calls = iter(range(1000))
-        done = geometry.finished(geometry.reached(), lambda v, f: np.arange(min(next(calls), 1)))
+        done = geometry.finish(geometry.state(), lambda v, f: np.arange(min(next(calls), 1)))
         np.testing.assert_allclose(done.vertices, geometry.vertices, atol=2e-6)
 
-    def test_without_room_nothing_moves(self):
-        still = disturbed(made(ball(), 0.0, 0.0), 10.0).moved()
-        np.testing.assert_allclose(still.vertices.detach(), made(ball()).vertices, atol=1e-5)
+    def test_without_bounds_nothing_moves(self):
+        still = disturbed(parameterized(ball(), 0.0, 0.0), 10.0).geometry()
+        np.testing.assert_allclose(still.vertices.detach(), parameterized(ball()).vertices, atol=1e-5)
 
     def test_specks_and_cavities_go(self):
         """A bubble off the ball, and one in it."""
@@ -199,7 +207,7 @@ class TestBounds:
 class TestStart:
     def test_displaced_ball_has_another_radius(self):
         """On average to a hundredth of a cell, everywhere to a tenth."""
-        geometry = made(ball())
+        geometry = parameterized(ball())
         radius = np.linalg.norm(geometry.vertices, axis=1).mean()
         for height in (0.03, -0.03):
             vertices, faces = geometry.surface(geometry.displaced(np.full(len(geometry.vertices), height)))
@@ -207,28 +215,37 @@ class TestStart:
             found = np.linalg.norm(vertices, axis=1)
             assert found.mean() == pytest.approx(radius + height, abs=6e-4) and np.ptp(found) < 6e-3
 
+    def test_does_not_touch_the_parameters(self):
+        """Nor the filter: what is optimised afterwards is without low frequencies all the same."""
+        geometry = disturbed(parameterized(ball()))
+        before, heights = geometry.geometry().vertices.detach(), np.full(len(geometry.vertices), 0.03)
+        state = geometry.displaced(heights)
+        assert isinstance(state, SdfState) and not state.filtered and geometry.state().filtered
+        geometry.surface(state)
+        torch.testing.assert_close(geometry.geometry().vertices.detach(), before, rtol=0, atol=0)
+
     def test_of_a_field_of_any_slope(self):
-        steep = made(ball(steepness=3.0, half=2.0))
+        steep = parameterized(ball(steepness=3.0, half=2.0))
         vertices, _ = steep.surface(steep.displaced(np.full(len(steep.vertices), 0.03)))
-        flat = made(ball())
+        flat = parameterized(ball())
         other, _ = flat.surface(flat.displaced(np.full(len(flat.vertices), 0.03)))
         np.testing.assert_allclose(vertices, other, atol=1e-4)
 
-    def test_start_keeps_detail_and_drops_what_is_broad(self):
-        geometry = made(ball(49), broad=0.3)
+    def test_start_keeps_detail_and_drops_low_frequencies(self):
+        geometry = parameterized(ball(49), wavelength=0.3)
         fine, broad = 0.02 * np.cos(25 * geometry.vertices[:, 1]), 0.02 * geometry.vertices[:, 0]
         kept = []
         for heights in (fine, broad):
-            geometry.start_from(heights)
-            kept.append(geometry.heights().detach().square().mean().sqrt().item() / np.sqrt((heights**2).mean()))
+            geometry.set_heights(heights)
+            kept.append(geometry.heights(geometry.state()).square().mean().sqrt().item() / np.sqrt((heights**2).mean()))
         assert kept[0] > 0.6 and kept[1] < 0.2
-        assert not geometry.latent[geometry.blocks[1].start :].any()
+        assert not any(parameter.any() for parameter in geometry.parameters[1:])
 
 
-def volume(geometry: SdfParameterization, latent: torch.Tensor) -> torch.Tensor:
-    """Enclosed by the surface, weighted by a smooth function, as a function of the latent."""
-    geometry.latent = latent
-    now = geometry.moved()
+def volume(geometry: SdfParameterization, parameters: tuple[torch.Tensor, ...]) -> torch.Tensor:
+    """Enclosed by the surface, weighted by a smooth function, as a function of the parameters."""
+    geometry.parameters = parameters
+    now = geometry.geometry()
     corner = now.vertices.double()[now.faces]
     share = torch.exp(corner.mean(dim=1)[:, 0])
     return (share * torch.linalg.det(corner)).sum() / 6
@@ -237,16 +254,18 @@ def volume(geometry: SdfParameterization, latent: torch.Tensor) -> torch.Tensor:
 @pytest.mark.parametrize("block", [0, 1, 2])
 def test_gradient_against_finite_differences(block, monkeypatch):
     """Between two changes of sign: at one, the surface jumps a little."""
-    geometry = disturbed(made(generated()), 0.3)
-    geometry.moved()
-    monkeypatch.setattr(flexicubes, "topology", lambda inside, fixed=geometry.extract.topology: fixed)
-    at = geometry.latent.detach().clone()
-    gradient = torch.autograd.grad(volume(geometry, at.clone().requires_grad_()), geometry.latent)[0]
-    direction = torch.zeros_like(at)
-    direction[geometry.blocks[block]] = torch.sign(gradient[geometry.blocks[block]])
-    step = 2e-3
+    geometry = disturbed(parameterized(generated()), 0.3)
+    geometry.geometry()
+    monkeypatch.setattr(flexicubes, "topology", lambda inside, fixed=geometry._extract.topology: fixed)
+    at = tuple(parameter.detach().clone() for parameter in geometry.parameters)
+    (gradient,) = torch.autograd.grad(volume(geometry, geometry.parameters), geometry.parameters[block])
+    direction, step = torch.sign(gradient), 2e-3
+
+    def along(shift: float) -> torch.Tensor:
+        return volume(geometry, tuple(p + shift * direction if i == block else p for i, p in enumerate(at)))
+
     with torch.no_grad():
-        ahead, behind = (volume(geometry, at + sign * step * direction) for sign in (1, -1))
+        ahead, behind = along(step), along(-step)
     assert (direction * gradient).sum().item() == pytest.approx((ahead - behind).item() / (2 * step), rel=0.02)
 
 
@@ -264,19 +283,19 @@ class TestLosses:
 
     def test_of_a_distance(self):
         """E|∂Φ| over three axes of unit vectors in all directions: 3 / 2."""
-        geometry = made(ball(65))
-        terms = geometry.moved().terms
+        geometry = parameterized(ball(65))
+        terms = geometry.geometry().terms
         assert terms["sdf_tv"].item() == pytest.approx(1.5, rel=0.02)
         assert terms["flexi_weight_reg"].item() == 0
         assert l_dev(torch.tensor([0.1, 0.3]), 0.1).item() == pytest.approx(2.0)
 
     def test_noise_raises_them(self):
-        geometry = made(ball())
-        before, after = geometry.moved().terms, disturbed(geometry).moved().terms
+        geometry = parameterized(ball())
+        before, after = geometry.geometry().terms, disturbed(geometry).geometry().terms
         assert all(after[name] > before[name] for name in before)
 
     def test_deformation_gains_weight(self):
-        rates = [made(ball()).rates(progress) for progress in (0.0, 0.5, 1.0)]
+        rates = [parameterized(ball()).learning_rates(progress) for progress in (0.0, 0.5, 1.0)]
         assert [r[0] for r in rates] == [1.0] * 3
         assert rates[0][1] == 0 < rates[1][1] < rates[2][1]
 
@@ -284,30 +303,32 @@ class TestLosses:
 class TestDistance:
     def test_on_the_same_grid_it_is_phi(self):
         """But for the margin that the frame leaves: there, the distance to the surface that Φ gave."""
-        geometry = made(ball(65))
-        distance = FieldDistance(geometry, 33)
+        geometry = parameterized(ball(65))
+        distance = geometry.distance(33)
         exact = signed_distance(geometry.vertices, geometry.faces, 33)
-        np.testing.assert_array_equal(distance(geometry.initial)[0], exact.astype(np.float32))
+        np.testing.assert_array_equal(distance(geometry.initial_shape)[0], exact.astype(np.float32))
 
     @pytest.mark.parametrize("asset", [ball(65), ball(65, steepness=2.0, centre=(1, 2, 3), half=4.0)])
     def test_follows_the_surface(self, asset):
-        geometry = made(asset)
+        geometry = parameterized(asset)
         reached = geometry.displaced(np.full(len(geometry.vertices), 0.03))
         vertices, faces = geometry.surface(reached)
         with torch.no_grad():
-            found = FieldDistance(geometry, 33)(geometry.moved().shape)[0].numpy()
+            found = geometry.distance(33)(geometry.geometry().shape)[0].numpy()
         exact = signed_distance(vertices, faces, 33)
         near = np.abs(exact) < 0.03
         assert near.sum() > 300 and np.abs(found - exact)[near].max() < 3e-3
 
     def test_gradient(self):
-        geometry = made(generated())
+        geometry = parameterized(generated())
         distance = geometry.distance(33)
         weight = torch.randn(1, 33, 33, 33, generator=torch.Generator().manual_seed(0))
-        phi = geometry.initial.clone().requires_grad_()
+        phi = geometry.initial_shape.clone().requires_grad_()
         (gradient,) = torch.autograd.grad((weight * distance(phi)).sum(), phi)
         step = torch.randn(phi.shape, generator=torch.Generator().manual_seed(1))
-        change = (weight.double() * (distance(geometry.initial + step) - distance(geometry.initial)).double()).sum()
+        change = (
+            weight.double() * (distance(geometry.initial_shape + step) - distance(geometry.initial_shape)).double()
+        ).sum()
         assert change.item() == pytest.approx((gradient * step).sum().item(), rel=1e-3)
 
 
