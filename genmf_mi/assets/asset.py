@@ -101,7 +101,7 @@ class Asset:
         points = np.ascontiguousarray(points, dtype=np.float64)
         index, closest, _ = self._nearest.find(points)
         if normals is not None:
-            index, closest = self._nearest.agreeing(points, np.asarray(normals), index, closest)
+            index, closest = self._nearest.on_agreeing_faces(points, np.asarray(normals), index, closest)
         return self.albedo_at(index, barycentric(self.vertices[self.faces[index]], closest))
 
     @cached_property

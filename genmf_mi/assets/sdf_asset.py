@@ -121,7 +121,7 @@ class SdfAsset:
 
     def as_mesh(self) -> Asset:
         """The extracted surface with its colours per vertex."""
-        from genmf_mi.mesh.topology import vertex_normals
+        from genmf_mi.mesh.measures import vertex_normals
 
         vertices, faces = self.surface(training=True)
         colours = self.closest_albedo(vertices, vertex_normals(vertices, faces))

@@ -113,7 +113,7 @@ def _write_mesh(shape: SdfAsset, out: Path) -> str:
     rgb = mesh.albedo.colours if shape.textured else None
     with atomic(out) as temporary:
         fabricate.write_glb(temporary, mesh.vertices, mesh.faces, rgb, shape.name)
-    closed, bodies = topology.is_closed(mesh.faces), int(topology.bodies(mesh.faces).max() + 1)
+    closed, bodies = topology.is_closed(mesh.faces), int(topology.components(mesh.faces).max() + 1)
     return (
         f"{len(mesh.vertices)} vertices, {len(mesh.faces)} faces, {'with' if shape.textured else 'without'} colours, "
         f"{'closed' if closed else 'NOT closed'}, {bodies} {'body' if bodies == 1 else 'bodies'}"

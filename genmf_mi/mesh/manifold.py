@@ -1,30 +1,29 @@
-"""Closed manifolds as ``manifold3d`` has them, which is the judge of what is one."""
+"""Closed manifolds as ``manifold3d`` defines them."""
 
 from __future__ import annotations
 
+import manifold3d
 import numpy as np
 
-from genmf_mi.mesh import topology
+from genmf_mi.mesh import measures, topology
 
 
-def to_manifold(vertices: np.ndarray, faces: np.ndarray):
-    """The faces as a ``manifold3d.Manifold``, whose ``status()`` says whether they are one."""
-    import manifold3d
-
+def to_manifold(vertices: np.ndarray, faces: np.ndarray) -> manifold3d.Manifold:
+    """The faces as a ``manifold3d.Manifold``, whose ``status()`` says whether they are a closed manifold."""
     return manifold3d.Manifold(
         manifold3d.Mesh64(np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.uint64))
     )
 
 
-def to_arrays(body) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices ``[V,3]`` and faces ``[F,3]`` of a ``manifold3d.Manifold``."""
-    mesh = body.to_mesh64()
+def to_arrays(solid: manifold3d.Manifold) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices ``float64 [V,3]`` and faces ``int64 [F,3]``."""
+    mesh = solid.to_mesh64()
     return np.array(mesh.vert_properties[:, :3]), np.array(mesh.tri_verts, dtype=np.int64)
 
 
 def is_solid(vertices: np.ndarray, faces: np.ndarray) -> bool:
     """Whether the faces are closed, consistently oriented, enclose a positive volume and pass ``manifold3d``."""
-    if not topology.is_closed(faces) or topology.volume(vertices, faces) <= 0:
+    if not topology.is_closed(faces) or measures.signed_volume(vertices, faces) <= 0:
         return False
-    body = to_manifold(vertices, faces)
-    return not body.is_empty() and body.status().name == "NoError"
+    solid = to_manifold(vertices, faces)
+    return not solid.is_empty() and solid.status() == manifold3d.Error.NoError

@@ -1,43 +1,46 @@
-"""The few things for which PyMeshLab is used; nothing else imports it.
+"""The operations that PyMeshLab is used for; nothing else imports it.
 
 PyMeshLab is under the GPL. It is loaded only when one of these functions runs.
 """
 
 from __future__ import annotations
 
-import numpy as np
+from importlib import import_module
+from typing import Any
 
-from genmf_mi.mesh.self_intersections import crossing_faces
+import numpy as np
 
 _SLIVER = 0.15
 """Twice the inradius over the circumradius: 1 for equilateral triangles; below this the smallest angle is about 5°."""
 
 
-def self_intersections(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Indices of the faces of ``[F,3]`` that cut through another face, sorted ``int64``.
+def self_intersection_candidates(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Indices ``int64 [K]`` of the faces ``[F,3]`` that MeshLab takes for self-intersecting, sorted.
 
-    MeshLab finds them fast but also reports thin triangles side by side in one plane; exact signs sort those out.
+    Fast and complete, but it also reports thin triangles that lie side by side in one plane.
     """
     meshes = _load(vertices, faces)
     meshes.compute_selection_by_self_intersections_per_face()
-    candidates = np.flatnonzero(meshes.current_mesh().face_selection_array())
-    return crossing_faces(np.asarray(vertices, dtype=np.float64), np.asarray(faces), candidates)
+    return np.flatnonzero(meshes.current_mesh().face_selection_array())
 
 
-def isotropic(
+def isotropic_remeshing(
     vertices: np.ndarray, faces: np.ndarray, edge_length: float, *, iterations: int = 3, crease_degrees: float = 35.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Isotropic explicit remeshing (Botsch and Kobbelt 2004) towards ``edge_length``, reprojected onto the input.
 
-    Edges that bend by more than ``crease_degrees`` stay where they are, except around the few slivers that this leaves.
-    """
-    from pymeshlab import PureValue
+    Edges with a dihedral angle of more than ``crease_degrees`` are preserved, except around the few slivers that this
+    leaves.
 
+    Returns:
+        vertices ``float64 [V,3]`` and faces ``int64 [F,3]``.
+    """
+    pymeshlab = _pymeshlab()
     # MeshLab's filters remember the last value of every parameter in the process: pass all that matter, every time.
     common = {
-        "targetlen": PureValue(edge_length),
+        "targetlen": pymeshlab.PureValue(edge_length),
         "checksurfdist": True,
-        "maxsurfdist": PureValue(edge_length / 2),
+        "maxsurfdist": pymeshlab.PureValue(edge_length / 2),
         "adaptive": False,
     }
     meshes = _load(vertices, faces)
@@ -53,9 +56,13 @@ def isotropic(
     return mesh.vertex_matrix(), mesh.face_matrix().astype(np.int64)
 
 
-def _load(vertices: np.ndarray, faces: np.ndarray):
-    import pymeshlab
-
+def _load(vertices: np.ndarray, faces: np.ndarray) -> Any:
+    pymeshlab = _pymeshlab()
     meshes = pymeshlab.MeshSet(verbose=False)
     meshes.add_mesh(pymeshlab.Mesh(np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int32)))
     return meshes
+
+
+def _pymeshlab() -> Any:
+    """The module, without a type: it has no stubs, and its names exist at run time only."""
+    return import_module("pymeshlab")

@@ -1,10 +1,13 @@
-"""A closed surface from whatever triangles there are: the winding number says what is inside, distance says where."""
+"""A closed surface around any triangles: the winding number decides what is inside, the distance where it ends."""
 
 from __future__ import annotations
 
 import numpy as np
+from skimage.measure import marching_cubes
 
 from genmf_mi.mesh import topology
+from genmf_mi.mesh.nearest import distance_to_surface
+from genmf_mi.mesh.winding import winding_number
 
 _BLOCK = 8
 """Voxels along the side of the blocks by which empty space is skipped."""
@@ -14,18 +17,17 @@ def rebuild(vertices: np.ndarray, faces: np.ndarray, cells: int = 256) -> tuple[
     """Closed triangles around the volume that ``faces [F,3]`` wind around by more than one half.
 
     The field is the distance to the faces, negative where the generalised winding number (Barill et al. 2018) exceeds
-    0.5. Across a hole the distance does not vanish, so there the winding number itself, scaled to a length, takes over.
-    The surface lies on the input where that is sound; edges are cut by at most half a cell.
+    0.5. Across a hole the distance does not vanish, so the winding number itself, scaled to a length, replaces it
+    there. The surface lies on the input where that is sound; sharp edges are cut off by at most half a cell.
 
     Args:
+        vertices: ``[V,3]`` in any unit.
+        faces: ``[F,3]``.
         cells: cells along the longest side; 256 are 0.4 mm for a part of 100 mm.
 
     Returns:
-        vertices ``[V,3]``, faces ``[F,3]`` (none if nothing is inside) and the side of a cell.
+        vertices ``[V,3]``, faces ``[F,3]`` (none if nothing is inside) and the side of a cell, in the vertices' unit.
     """
-    import igl
-    from skimage.measure import marching_cubes
-
     used = vertices[faces].reshape(-1, 3)
     low, side = used.min(axis=0), np.ptp(used, axis=0)
     step = side.max() / cells
@@ -34,8 +36,7 @@ def rebuild(vertices: np.ndarray, faces: np.ndarray, cells: int = 256) -> tuple[
     field = np.full(blocks * _BLOCK, np.float32(step))
 
     def measure(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        inside = igl.fast_winding_number(vertices, faces, points) - 0.5
-        return inside, np.sqrt(igl.point_mesh_squared_distance(points, vertices, faces)[0])
+        return winding_number(points, vertices, faces) - 0.5, distance_to_surface(points, vertices, faces)
 
     corner = np.stack(np.meshgrid(*map(np.arange, blocks), indexing="ij"), axis=-1).reshape(-1, 3) * _BLOCK
     for size, part in ((_BLOCK, 2), (2, 1)):

@@ -1,30 +1,30 @@
-"""The steps that turn a mesh as exported into pieces that ``manifold3d`` accepts. Each returns what it changed."""
+"""The steps that turn a mesh as exported into components that ``manifold3d`` accepts. Each returns what it changed."""
 
 from __future__ import annotations
 
+import igl
+import manifold3d
 import numpy as np
 
-from genmf_mi.mesh import topology
+from genmf_mi.mesh import measures, topology
+from genmf_mi.mesh.winding import winding_number
 
 _LARGEST_CAP = 0.2
-"""A cap is at most this share of its body's surface: the base of a bust is capped, the mouth of a bowl is not."""
+"""A cap is at most this share of its component's area: the base of a bust is capped, the mouth of a bowl is not."""
 
 _MOST_PATCHES = 64
-"""With more patches than this, what lies inside what is left to the signed-distance field."""
+"""With more patches than this, the signed-distance field decides what lies inside of what."""
 
 
 def cap_holes(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, int]:
     """Faces with holes closed by flat triangles, and the number of holes closed.
 
-    A large opening is closed only where it lies inside another body, like that of an eye set into a head.
+    A large opening is closed only where it lies inside another component, like that of an eye set into a head.
     """
-    import igl
-    import manifold3d
-
-    label, area = topology.bodies(faces), topology.areas(vertices, faces)
-    body = np.empty(len(vertices), dtype=np.int64)
-    body[faces] = label[:, None]
-    limit = _LARGEST_CAP * np.bincount(label, area)
+    label = topology.components(faces)
+    component = np.empty(len(vertices), dtype=np.int64)
+    component[faces] = label[:, None]
+    limit = _LARGEST_CAP * np.bincount(label, measures.face_areas(vertices, faces))
     caps = []
     for loop in topology.boundary_loops(faces):
         ring = vertices[loop]
@@ -33,12 +33,12 @@ def cap_holes(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, int]
         area = np.linalg.norm(normal)
         if area == 0:
             continue
-        mine = body[loop[0]]
-        if area > limit[mine]:
-            others = np.ascontiguousarray(faces[label != mine])
-            if not 0 < label.max() < _MOST_PATCHES or (igl.fast_winding_number(vertices, others, ring) < 0.5).any():
+        own = component[loop[0]]
+        if area > limit[own]:
+            others = faces[label != own]
+            if not 0 < label.max() < _MOST_PATCHES or (winding_number(ring, vertices, others) < 0.5).any():
                 continue
-        # Project along the mean normal: a frame whose third axis it is, so that the ring turns counter-clockwise.
+        # Project along the mean normal: a frame whose third axis it is, in which the ring runs counter-clockwise.
         first = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
         first /= np.linalg.norm(first)
         second = np.cross(normal / area, first)
@@ -49,26 +49,24 @@ def cap_holes(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, int]
 
 
 def without_inner_walls(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, int]:
-    """Faces without the open patches that lie inside what the others enclose, and the number of faces left out."""
-    import igl
-
-    patch = igl.bfs_orient(np.ascontiguousarray(faces))[1]
+    """Faces without the open patches that lie inside what the others enclose, and the number of faces removed."""
+    patch = np.asarray(igl.bfs_orient(np.ascontiguousarray(faces))[1])
     keep = np.ones(len(faces), dtype=bool)
     if 0 < patch.max() < _MOST_PATCHES:
         for number in range(patch.max() + 1):
             if topology.is_closed(faces[patch == number]):
                 continue
-            mine, others = patch == number, keep & (patch != number)
+            own, others = patch == number, keep & (patch != number)
             if not others.any():
                 break
-            centres = vertices[faces[mine]].mean(axis=1)
-            if (igl.fast_winding_number(vertices, np.ascontiguousarray(faces[others]), centres) > 0.75).all():
-                keep &= ~mine
+            centres = vertices[faces[own]].mean(axis=1)
+            if (winding_number(centres, vertices, faces[others]) > 0.75).all():
+                keep &= ~own
     return faces[keep], int((~keep).sum())
 
 
 def separate(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, int]:
-    """Vertices with those that share a place drawn a little towards their own neighbours, and their number.
+    """Vertices with those at the same position moved a little towards their own neighbours, and their number.
 
     Two corners that touch in a point or along an edge are fine for a mesh with indices, but a reader that welds by
     position, as every reader of STL does, would see an edge with four faces.

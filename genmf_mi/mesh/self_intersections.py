@@ -1,4 +1,4 @@
-"""Which triangles cut through each other, decided by exact signs where rounding could decide wrongly."""
+"""Self-intersections of a triangle mesh: MeshLab proposes faces, exact orientation signs decide."""
 
 from __future__ import annotations
 
@@ -6,33 +6,41 @@ from fractions import Fraction
 
 import numpy as np
 
+from genmf_mi.mesh import meshlab
+
 _ERROR_BOUND = 1e-15
 """Relative rounding error of a 3×3 determinant of differences, a little above 7.8e-16 (Shewchuk 1997, orient3d)."""
 
 
-def crossing_faces(vertices: np.ndarray, faces: np.ndarray, candidates: np.ndarray) -> np.ndarray:
-    """Those of the faces ``candidates [K]`` that properly cut through another candidate, sorted.
+def self_intersections(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Indices ``int64 [K]`` of the faces of ``[F,3]`` that properly intersect another face, sorted."""
+    candidates = meshlab.self_intersection_candidates(vertices, faces)
+    return properly_intersecting(np.asarray(vertices, dtype=np.float64), np.asarray(faces), candidates)
 
-    An edge must pass through the inside of the other triangle: neighbours that share an edge, faces that merely touch
+
+def properly_intersecting(vertices: np.ndarray, faces: np.ndarray, candidates: np.ndarray) -> np.ndarray:
+    """Those of the faces ``candidates [K]`` that properly intersect another candidate, sorted.
+
+    An edge must pass through the interior of the other triangle: neighbours that share an edge, faces that merely touch
     and coplanar ones do not count.
     """
     pairs = _overlapping_boxes(vertices[faces[candidates]])
     first, second = candidates[pairs[:, 0]], candidates[pairs[:, 1]]
     shared = (faces[first][:, :, None] == faces[second][:, None, :]).any(axis=2).sum(axis=1)
     first, second = first[shared < 2], second[shared < 2]
-    crosses = np.zeros(len(first), dtype=bool)
+    intersects = np.zeros(len(first), dtype=bool)
     for one, other in ((first, second), (second, first)):
         for corner in range(3):
             start, end = faces[one, corner], faces[one, (corner + 1) % 3]
             touching = ((faces[other] == start[:, None]) | (faces[other] == end[:, None])).any(axis=1)
-            rows = np.flatnonzero(~crosses & ~touching)
+            rows = np.flatnonzero(~intersects & ~touching)
             corners = vertices[faces[other[rows]]]
-            crosses[rows] = _pierces(vertices[start[rows]], vertices[end[rows]], corners)
-    return np.unique(np.concatenate([first[crosses], second[crosses]]))
+            intersects[rows] = _pierces(vertices[start[rows]], vertices[end[rows]], corners)
+    return np.unique(np.concatenate([first[intersects], second[intersects]]))
 
 
 def _pierces(start: np.ndarray, end: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Whether the segments ``start``–``end`` ``[N,3]`` pass through the inside of ``triangles [N,3,3]``."""
+    """Whether the segments ``start``–``end`` ``[N,3]`` pass through the interior of ``triangles [N,3,3]``."""
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     result = np.zeros(len(start), dtype=bool)
     rows = np.arange(len(start))

@@ -1,20 +1,25 @@
-"""Closed manifold solids: from an asset as it comes, and on to a fine mesh. ``manifold3d`` is the judge."""
+"""Closed manifold solids: from the triangles of an asset, and on to a fine mesh. ``manifold3d`` decides what is one."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import manifold3d
 import numpy as np
 
 from genmf_mi.core.errors import SolidError
-from genmf_mi.mesh import repair, topology
+from genmf_mi.mesh import measures, rebuild, repair, topology
 from genmf_mi.mesh.manifold import is_solid, to_arrays, to_manifold
+from genmf_mi.mesh.nearest import distance_to_surface
+from genmf_mi.mesh.remesh import uniform
+from genmf_mi.mesh.self_intersections import self_intersections
+from genmf_mi.mesh.winding import winding_number
 
 _WELD = 1e-6
 """Vertices closer than this share of the longest side are one."""
 
 _STRAY = 0.01
-"""A separate body below this share of the volume, or open faces below this share of the area, are left out."""
+"""A component below this share of the volume, or open components below this share of the area, are removed."""
 
 _THINNEST = 5e-4
 """A closed mesh of less mean thickness, as a share of the longest side, is a sheet: 0.05 mm for a part of 100 mm."""
@@ -31,7 +36,7 @@ class Solid:
     """A closed, outward-facing manifold in file units.
 
     vertices: ``float64 [V,3]``; faces: ``int64 [F,3]``.
-    report: what was done to get there, see :func:`solidify` and :func:`remesh`.
+    report: what was done to obtain it, see :func:`solidify` and :func:`remesh`.
     """
 
     vertices: np.ndarray
@@ -40,22 +45,24 @@ class Solid:
 
 
 def solidify(name: str, vertices: np.ndarray, faces: np.ndarray) -> Solid:
-    """Make one closed manifold of a triangle soup, changing as little as possible.
+    """Make one closed manifold of arbitrary triangles, changing as little as possible.
 
-    name: of the asset, for messages. vertices: ``[V,3]`` in any unit. faces: ``[F,3]``.
+    Seams are welded, duplicate and collapsed faces removed, all faces oriented outwards, small holes capped and
+    overlapping components united. Enclosed cavities are filled. Only if that gives no manifold, the surface is rebuilt
+    from a signed-distance field, 256 cells along the longest side.
 
-    Seams are welded, double and collapsed faces dropped, all faces turned outwards, small holes capped and overlapping
-    bodies united. Cavities without a way out are filled. Only if that leaves no manifold, the surface is rebuilt from a
-    signed-distance field, 256 cells along the longest side.
+    Args:
+        name: of the asset, for messages.
+        vertices: ``[V,3]`` in any unit.
+        faces: ``[F,3]``.
 
-    ``report`` holds the counts of the input (``*_before``, and ``self_intersections_asset``, since a refinement's
-    ``self_intersections_before`` are those of its fine mesh), of the result, and of every step.
+    Returns:
+        The solid. Its ``report`` has the counts of the input (``*_before``, and ``self_intersections_asset``, since a
+        refinement's ``self_intersections_before`` are those of its fine mesh), of the result, and of every step.
 
     Raises:
         SolidError: the asset is a sheet without thickness, or cannot be closed.
     """
-    from genmf_mi.mesh import meshlab
-
     before = len(vertices), len(faces)
     longest = np.ptp(vertices[faces].reshape(-1, 3), axis=0).max()
     vertices, faces = topology.weld(vertices, faces, _WELD * longest)
@@ -64,15 +71,15 @@ def solidify(name: str, vertices: np.ndarray, faces: np.ndarray) -> Solid:
         raise SolidError(f"{name} encloses no volume: all its faces are collapsed. Export it again.")
     faces, turned = topology.oriented(vertices, faces)
     vertices, faces = topology.compact(vertices, faces)
-    open_edges, crowded_edges = topology.edge_counts(faces)
+    boundary_edges, nonmanifold_edges = topology.boundary_and_nonmanifold_edges(faces)
     report = {
         "vertices_before": before[0],
         "faces_before": before[1],
-        "bodies_before": int(topology.bodies(faces).max() + 1),
-        "open_edges_before": open_edges,
-        "crowded_edges_before": crowded_edges,
-        "self_intersections_asset": len(meshlab.self_intersections(vertices, faces)),
-        "volume_before": topology.volume(vertices, faces),
+        "bodies_before": int(topology.components(faces).max() + 1),
+        "open_edges_before": boundary_edges,
+        "crowded_edges_before": nonmanifold_edges,
+        "self_intersections_asset": len(self_intersections(vertices, faces)),
+        "volume_before": measures.signed_volume(vertices, faces),
         "faces_turned": turned,
         "holes_capped": 0,
         "inner_faces_dropped": 0,
@@ -84,15 +91,15 @@ def solidify(name: str, vertices: np.ndarray, faces: np.ndarray) -> Solid:
         "area_invented": 0.0,
     }
     if report["bodies_before"] > 1 or not is_solid(vertices, faces):
-        vertices, faces, changes = _mended(name, vertices, faces)
+        vertices, faces, changes = _repaired(name, vertices, faces)
         report |= changes
-    volume, area = topology.volume(vertices, faces), topology.areas(vertices, faces).sum()
+    volume, area = measures.signed_volume(vertices, faces), measures.face_areas(vertices, faces).sum()
     if 2 * volume / area < _THINNEST * longest:
-        raise SolidError(_sheet(name))
+        raise SolidError(_sheet_message(name))
     report |= {
         "vertices": len(vertices),
         "faces": len(faces),
-        "bodies": int(topology.bodies(faces).max() + 1),
+        "bodies": int(topology.components(faces).max() + 1),
         "volume": volume,
     }
     return Solid(vertices, faces, report)
@@ -101,35 +108,38 @@ def solidify(name: str, vertices: np.ndarray, faces: np.ndarray) -> Solid:
 def remesh(solid: Solid, edge_length: float, max_faces: int = 200_000) -> Solid:
     """The same solid in near-uniform triangles.
 
-    ``edge_length`` is in file units; it grows if ``max_faces`` demands it. ``report["remesh"]`` holds the method, the
-    number of faces and the largest deviation from the surface in file units.
+    Args:
+        edge_length: in file units; it grows if ``max_faces`` demands it.
+
+    Returns:
+        The fine solid. ``report["remesh"]`` has the method, the number of faces and the largest deviation from the
+        surface in file units.
 
     Raises:
         SolidError: the solid cannot be meshed without breaking it.
     """
-    from genmf_mi.mesh.remesh import fine
-
-    vertices, faces, report = fine(solid.vertices, solid.faces, edge_length, max_faces)
+    vertices, faces, report = uniform(solid.vertices, solid.faces, edge_length, max_faces)
     return Solid(vertices, faces, solid.report | {"remesh": report})
 
 
-def _mended(name: str, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict]:
-    """The solid that the faces nearly are, or failing that the rebuilt one; and what was changed."""
-    changes = {}
+def _repaired(name: str, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict]:
+    """The solid that the faces almost are, or failing that the rebuilt one; and what was changed."""
+    changes: dict[str, int] = {}
     faces, changes["inner_faces_dropped"] = repair.without_inner_walls(vertices, faces)
     faces, changes["holes_capped"] = repair.cap_holes(vertices, faces)
     faces, _ = topology.oriented(vertices, faces)
-    label = topology.bodies(faces)
-    stray = np.isin(label, label[topology.open_faces(faces)])
+    label = topology.components(faces)
+    stray = np.isin(label, label[topology.boundary_faces(faces)])
     pieces = []
     for number in np.unique(label[~stray]):
         piece = to_manifold(*topology.compact(vertices, faces[label == number]))
-        # Bodies that share an edge are one body to ``bodies`` and several to manifold3d, which may overlap.
-        solids = [part for part in piece.decompose() if part.volume() > 0] if piece.status().name == "NoError" else []
+        sound = piece.status() == manifold3d.Error.NoError
+        # Solids that share an edge are one component to topology and several to manifold3d, which may overlap.
+        solids = [part for part in piece.decompose() if part.volume() > 0] if sound else []
         if not solids:
             stray |= label == number
         pieces += solids
-    area = topology.areas(vertices, faces)
+    area = measures.face_areas(vertices, faces)
     if pieces and area[stray].sum() <= _STRAY * area.sum():
         changes["stray_faces_dropped"] = int(stray.sum())
         new_vertices, new_faces, united = _united(pieces)
@@ -139,10 +149,8 @@ def _mended(name: str, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndar
     return new_vertices, new_faces, changes | {"stray_faces_dropped": 0, "rebuilt": True} | united
 
 
-def _united(pieces: list) -> tuple[np.ndarray, np.ndarray, dict]:
-    """One mesh of overlapping ``manifold3d`` pieces, without small stray bodies and enclosed cavities."""
-    import manifold3d
-
+def _united(pieces: list[manifold3d.Manifold]) -> tuple[np.ndarray, np.ndarray, dict]:
+    """One mesh of overlapping solids, without small components and enclosed cavities."""
     whole = pieces[0] if len(pieces) == 1 else manifold3d.Manifold.batch_boolean(pieces, manifold3d.OpType.Add)
     parts = whole.decompose()
     volumes = np.array([part.volume() for part in parts])
@@ -162,24 +170,21 @@ def _united(pieces: list) -> tuple[np.ndarray, np.ndarray, dict]:
 
 
 def _rebuilt(name: str, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict]:
-    import igl
-
-    from genmf_mi.mesh.rebuild import rebuild
-
-    points, triangles, step = rebuild(vertices, faces)
+    """The surface rebuilt from a signed-distance field, and what was changed."""
+    points, triangles, step = rebuild.rebuild(vertices, faces)
     if len(triangles) == 0:
-        raise SolidError(_sheet(name))
-    body = to_manifold(points, triangles).simplify(0.05 * step)
-    if body.is_empty():
+        raise SolidError(_sheet_message(name))
+    rebuilt = to_manifold(points, triangles).simplify(0.05 * step)
+    if rebuilt.is_empty():
         raise SolidError(f"{name} cannot be closed. Repair it in a mesh editor (fill the holes) and try again.")
-    new_vertices, new_faces, changes = _united([body])
-    area, centres = topology.areas(vertices, faces), vertices[faces].mean(axis=1)
-    lost = topology.distance(centres, new_vertices, new_faces) > 2 * step
-    lost[lost] = igl.fast_winding_number(new_vertices, new_faces, centres[lost]) < 0.5
+    new_vertices, new_faces, changes = _united([rebuilt])
+    area, centres = measures.face_areas(vertices, faces), vertices[faces].mean(axis=1)
+    lost = distance_to_surface(centres, new_vertices, new_faces) > 2 * step
+    lost[lost] = winding_number(centres[lost], new_vertices, new_faces) < 0.5
     if area[lost].sum() > _LOST * area.sum():
-        raise SolidError(_sheet(name))
-    area, centres = topology.areas(new_vertices, new_faces), new_vertices[new_faces].mean(axis=1)
-    invented = area[topology.distance(centres, vertices, faces) > 2 * step].sum() / area.sum()
+        raise SolidError(_sheet_message(name))
+    area, centres = measures.face_areas(new_vertices, new_faces), new_vertices[new_faces].mean(axis=1)
+    invented = area[distance_to_surface(centres, vertices, faces) > 2 * step].sum() / area.sum()
     if invented > _INVENTED:
         raise SolidError(
             f"{name} is open: {invented:.0%} of its surface is missing. "
@@ -188,7 +193,7 @@ def _rebuilt(name: str, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.nda
     return new_vertices, new_faces, changes | {"area_invented": float(invented)}
 
 
-def _sheet(name: str) -> str:
+def _sheet_message(name: str) -> str:
     return (
         f"{name} is, or has parts that are, a sheet without thickness, which cannot be printed. "
         "Give it some in a mesh editor (Blender: the Solidify modifier) and try again."

@@ -1,27 +1,33 @@
-"""How triangles hang together: welding, edges, bodies, holes; and the few measures of them that need no more."""
+"""Connectivity of triangle meshes: welding, edges, components, orientation, holes.
+
+A *boundary edge* has one face, a *non-manifold edge* three or more.
+"""
 
 from __future__ import annotations
 
+import igl
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from genmf_mi.mesh import measures
 
 
 def weld(vertices: np.ndarray, faces: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
-    """Merge vertices within ``tolerance`` (file units) and leave out the unused; faces ``[F,3]`` keep their order."""
-    from scipy.spatial import cKDTree
-
+    """Merge vertices within ``tolerance`` (in their unit) and remove the unused; faces ``[F,3]`` keep their order."""
     used, faces = np.unique(faces, return_inverse=True)
     unique, inverse = np.unique(vertices[used], axis=0, return_inverse=True)
-    pairs = cKDTree(unique).query_pairs(tolerance, output_type="ndarray")
-    count, label = _components(len(unique), pairs)
+    pairs = KDTree(unique).query_pairs(tolerance, output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs), dtype=np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(unique),) * 2)
+    count, label = connected_components(graph, directed=False)
     first = np.full(count, len(unique))
     np.minimum.at(first, label, np.arange(len(unique)))
     return unique[first], label[inverse.ravel()][faces].reshape(-1, 3)
 
 
 def compact(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Leave out the vertices that no face uses."""
+    """Remove the vertices that no face uses."""
     used, inverse = np.unique(faces, return_inverse=True)
     return vertices[used], inverse.reshape(-1, 3)
 
@@ -39,8 +45,8 @@ def _edge_ids(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return ids.ravel(), counts
 
 
-def edge_counts(faces: np.ndarray) -> tuple[int, int]:
-    """The number of open edges (one face) and of crowded ones (three faces or more)."""
+def boundary_and_nonmanifold_edges(faces: np.ndarray) -> tuple[int, int]:
+    """The number of boundary edges and of non-manifold edges."""
     _, counts = _edge_ids(faces)
     return int((counts == 1).sum()), int((counts > 2).sum())
 
@@ -53,26 +59,17 @@ def is_closed(faces: np.ndarray) -> bool:
     return len(faces) > 0 and bool((forward[1:] != forward[:-1]).all() and (forward == backward).all())
 
 
-def bodies(faces: np.ndarray) -> np.ndarray:
-    """Component number ``[F]`` of every face; faces belong together when they share an edge."""
-    ids, _ = _edge_ids(faces)
-    order = np.argsort(ids, kind="stable")
-    same = ids[order][1:] == ids[order][:-1]
-    pairs = np.stack([order[:-1][same], order[1:][same]], axis=1) // 3
-    return _components(len(faces), pairs)[1]
-
-
-def volume(vertices: np.ndarray, faces: np.ndarray) -> float:
-    """Signed volume of closed faces, positive when they look outwards."""
-    a, b, c = (vertices[faces[:, corner]] - vertices.mean(axis=0) for corner in range(3))
-    return float(np.einsum("nk,nk->", a, np.cross(b, c)) / 6)
+def components(faces: np.ndarray) -> np.ndarray:
+    """Component number ``[F]`` of every face, from 0; faces belong together when they share an edge."""
+    return np.asarray(igl.facet_components(np.ascontiguousarray(faces))[1])
 
 
 def without_duplicates(faces: np.ndarray) -> np.ndarray:
     """Faces ``[F,3]`` with three distinct corners, each once.
 
-    Two faces back to back cancel if that leaves fewer bad edges than keeping one of them: the first is a fold inside a
-    closed surface, the second a surface that was exported double-sided.
+    Two faces back to back are both removed if that leaves fewer boundary and non-manifold edges than keeping one of
+    them. The first is right for a fold inside a closed surface, the second for a surface that was exported
+    double-sided.
     """
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
     rows = np.arange(len(faces))[:, None]
@@ -86,28 +83,25 @@ def without_duplicates(faces: np.ndarray) -> np.ndarray:
     if (counts == 1).all():
         return faces
     single, one_each = faces[counts[inverse.ravel()] == 1], faces[np.sort(keep)]
-    return min(single, one_each, key=lambda kept: (len(kept) == 0, sum(edge_counts(kept))))
+    return min(single, one_each, key=lambda kept: (len(kept) == 0, sum(boundary_and_nonmanifold_edges(kept))))
 
 
 def oriented(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, int]:
-    """Faces that run the same way round within each patch and enclose a positive volume; and how many were turned.
+    """Faces oriented consistently within each patch, such that it encloses a positive volume; and how many were turned.
 
     For an open patch the volume is that of the cone to its own centroid, which decides well for shells with holes.
     """
-    import igl
-
-    turned, patch = igl.bfs_orient(np.ascontiguousarray(faces))
-    corner = vertices[turned]
-    area = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    size = np.linalg.norm(area, axis=1)
+    turned, patch = map(np.asarray, igl.bfs_orient(np.ascontiguousarray(faces)))
+    area, normal = measures.face_areas(vertices, turned), measures.face_normals(vertices, turned)
     count = patch.max() + 1
-    weight = np.maximum(np.bincount(patch, size, count), 1e-300)
-    middle = corner.mean(axis=1)
-    centroid = np.stack([np.bincount(patch, size * middle[:, k], count) / weight for k in range(3)], axis=1)
-    signed = np.bincount(patch, np.einsum("nk,nk->n", area, middle - centroid[patch]), count)
-    # A flat patch has no inside: leave it as it is rather than turn it for a rounding error.
+    total = np.maximum(np.bincount(patch, area, count), 1e-300)
+    middle = vertices[turned].mean(axis=1)
+    centroid = np.stack([np.bincount(patch, area * middle[:, k], count) / total for k in range(3)], axis=1)
+    height = np.einsum("nk,nk->n", normal, middle - centroid[patch])
+    signed = np.bincount(patch, area * height, count)  # three times the volume
+    # A flat patch has no inside: leave it as it is rather than turn it for a rounding error
     extent = np.linalg.norm(np.ptp(vertices, axis=0))
-    inwards = (signed < -1e-9 * weight * extent)[patch]
+    inwards = (signed < -1e-9 * total * extent)[patch]
     turned[inwards] = turned[inwards][:, ::-1]
     return turned, int((_parity(faces) != _parity(turned)).sum())
 
@@ -118,20 +112,19 @@ def _parity(faces: np.ndarray) -> np.ndarray:
     return ((a < b).astype(int) + (b < c) + (a < c)) % 2 == 1
 
 
-def open_faces(faces: np.ndarray) -> np.ndarray:
-    """Mask ``[F]`` of the faces that have an open edge."""
+def boundary_faces(faces: np.ndarray) -> np.ndarray:
+    """Mask ``[F]`` of the faces that have a boundary edge."""
     ids, counts = _edge_ids(faces)
     return (counts[ids] == 1).reshape(-1, 3).any(axis=1)
 
 
 def boundary_loops(faces: np.ndarray) -> list[np.ndarray]:
-    """The rims of the holes: chains of open edges as vertex indices, in the direction that a filling face runs.
+    """The rims of the holes: chains of boundary edges as vertex indices, in the direction of a face that fills it.
 
-    Where two holes touch in a vertex, the chain goes on along the other fan of faces there: each hole has its own.
+    Where two holes touch in a vertex, the chain continues along the other fan of faces there: each hole has its own.
     """
-    import igl
-
-    fans = igl.split_nonmanifold(np.ascontiguousarray(faces))[0]  # the same faces, with a vertex of their own per fan
+    # The same faces with a separate vertex for every fan
+    fans = np.asarray(igl.split_nonmanifold(np.ascontiguousarray(faces))[0])
     ids, counts = _edge_ids(faces)
     rim = counts[ids] == 1
     tails, heads = halfedges(faces)[rim].T[::-1].tolist()
@@ -152,31 +145,3 @@ def boundary_loops(faces: np.ndarray) -> list[np.ndarray]:
         if len(loop) >= 3 and edge == start:
             loops.append(np.array(loop))
     return loops
-
-
-def _components(size: int, pairs: np.ndarray) -> tuple[int, np.ndarray]:
-    graph = coo_array((np.ones(len(pairs), dtype=np.int8), (pairs[:, 0], pairs[:, 1])), shape=(size, size))
-    return connected_components(graph, directed=False)
-
-
-def areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Area ``[F]`` of every face."""
-    corner = vertices[faces]
-    return np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 2
-
-
-def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Unit normals ``[V,3]``: the mean of the faces around, weighted by area."""
-    corner = vertices[faces]
-    face = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    around = np.repeat(face, 3, axis=0)
-    normals = np.stack([np.bincount(faces.ravel(), around[:, k], len(vertices)) for k in range(3)], axis=1)
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-
-
-def distance(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Distance ``[N]`` of ``points [N,3]`` to a surface."""
-    import igl
-
-    squared, _, _ = igl.point_mesh_squared_distance(*map(np.ascontiguousarray, (points, vertices, faces)))
-    return np.sqrt(squared)

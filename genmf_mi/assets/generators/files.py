@@ -17,7 +17,7 @@ from genmf_mi.assets.sdf_asset import SdfAsset
 from genmf_mi.core import colour
 from genmf_mi.core.errors import AssetError
 from genmf_mi.core.files import atomic
-from genmf_mi.mesh import topology
+from genmf_mi.mesh.nearest import distance_to_surface
 
 FORMATS = (".npz", ".safetensors", ".pt")
 """Suffixes that :func:`load` reads and, but for ``.pt``, :func:`save` writes."""
@@ -204,7 +204,7 @@ def _fitting(shape: SdfAsset, mesh: Asset, rotation: np.ndarray) -> Asset:
     turned = replace(mesh, vertices=mesh.vertices @ rotation.T)
     far, best = min(
         (
-            (topology.distance(one.vertices[np.unique(one.faces)], vertices, faces).mean(), one)
+            (distance_to_surface(one.vertices[np.unique(one.faces)], vertices, faces).mean(), one)
             for one in (mesh, turned)
         ),
         key=lambda pair: pair[0],

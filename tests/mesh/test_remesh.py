@@ -8,7 +8,8 @@ import trimesh
 
 from genmf_mi.assets import asset
 from genmf_mi.core.errors import SolidError
-from genmf_mi.mesh import meshlab, remesh, solid, topology
+from genmf_mi.mesh import measures, meshlab, remesh, solid, topology
+from genmf_mi.mesh.self_intersections import self_intersections
 from genmf_mi.mesh.solid import Solid
 
 
@@ -55,7 +56,7 @@ def test_triangles_are_even_and_lie_on_the_surface(name):
 
 def test_the_edges_of_a_box_stay_sharp():
     made = solid.remesh(solid_of(SHAPES["box"]), 0.02)
-    assert topology.volume(made.vertices, made.faces) == pytest.approx(0.24, rel=1e-4)
+    assert measures.signed_volume(made.vertices, made.faces) == pytest.approx(0.24, rel=1e-4)
     corners = np.array(np.meshgrid([-0.5, 0.5], [-0.3, 0.3], [-0.2, 0.2])).reshape(3, -1).T
     gap = np.linalg.norm(made.vertices[:, None] - corners, axis=2).min(axis=0)
     np.testing.assert_allclose(gap, 0, atol=1e-6)
@@ -77,7 +78,7 @@ def test_broken_remeshing_falls_back_to_dividing(monkeypatch):
     def torn(vertices, faces, edge_length, **options):
         return vertices, faces[1:]
 
-    monkeypatch.setattr(meshlab, "isotropic", torn)
+    monkeypatch.setattr(meshlab, "isotropic_remeshing", torn)
     made = solid.remesh(solid_of(SHAPES["box"]), 0.05)
     assert made.report["remesh"]["method"] == "divided"
     assert made.report["remesh"]["max_deviation"] < 1e-12
@@ -106,7 +107,7 @@ def test_real_assets_gain_no_self_intersections(assets, name):
 
 def test_finer_triangles_along_an_old_cut_are_not_new():
     both = trimesh.util.concatenate([SHAPES["box"], SHAPES["box"].copy().apply_translation([0.31, 0.17, 0.11])])
-    before = len(meshlab.self_intersections(both.vertices, both.faces))
+    before = len(self_intersections(both.vertices, both.faces))
     made = solid.remesh(solid_of(both), 0.03)
     report = made.report["remesh"]
     assert report["method"] == "isotropic"

@@ -1,4 +1,4 @@
-"""Welding, edges, bodies, holes and orientation on meshes small enough to count by hand."""
+"""Welding, edges, components, holes and orientation on meshes small enough to count by hand."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from genmf_mi.mesh import topology
+from genmf_mi.mesh import measures, topology
 
 BOX = trimesh.creation.box()
 BALL = trimesh.creation.icosphere(subdivisions=2)
@@ -20,12 +20,12 @@ def test_weld_merges_within_the_tolerance_and_keeps_the_order_of_faces():
     assert len(topology.weld(soup, np.arange(960).reshape(-1, 3), 1e-12)[0]) == 960
 
 
-def test_counts_of_edges():
-    assert topology.edge_counts(BOX.faces) == (0, 0)
-    assert topology.edge_counts(BOX.faces[1:]) == (3, 0)
+def test_boundary_and_nonmanifold_edges():
+    assert topology.boundary_and_nonmanifold_edges(BOX.faces) == (0, 0)
+    assert topology.boundary_and_nonmanifold_edges(BOX.faces[1:]) == (3, 0)
     fin = np.vstack([BOX.faces, [[*BOX.faces[0][:2], 8]]])
-    assert topology.edge_counts(fin) == (2, 1)
-    assert topology.open_faces(BOX.faces[1:]).sum() == 3
+    assert topology.boundary_and_nonmanifold_edges(fin) == (2, 1)
+    assert topology.boundary_faces(BOX.faces[1:]).sum() == 3
 
 
 def test_closed_needs_two_faces_that_run_against_each_other():
@@ -37,12 +37,33 @@ def test_closed_needs_two_faces_that_run_against_each_other():
     assert not topology.is_closed(np.empty((0, 3), dtype=np.int64))
 
 
-def test_bodies_and_volume():
-    both = trimesh.util.concatenate([BOX, BOX.copy().apply_translation([3, 0, 0])])
-    label = topology.bodies(both.faces)
-    assert label[:12].max() == label[:12].min() != label[12:].min() == label[12:].max()
-    assert topology.volume(both.vertices + 100, both.faces) == pytest.approx(2)
-    assert topology.volume(BOX.vertices, BOX.faces[:, ::-1]) == pytest.approx(-1)
+def components_by_merging(faces: np.ndarray) -> list[int]:
+    """Component numbers by merging the sets of faces of every edge, one edge after the other."""
+    number = list(range(len(faces)))
+    around: dict[frozenset, list[int]] = {}
+    for face, corners in enumerate(faces.tolist()):
+        for k in range(3):
+            around.setdefault(frozenset((corners[k], corners[k - 1])), []).append(face)
+    for together in around.values():
+        merged = {number[face] for face in together}
+        number = [min(merged) if label in merged else label for label in number]
+    names = sorted(set(number))
+    return [names.index(label) for label in number]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_components_of_random_faces(seed):
+    """With boundary and non-manifold edges in plenty, and parts that touch in vertices only."""
+    random = np.random.default_rng(seed)
+    faces = np.array([random.permutation(30)[:3] for _ in range(random.integers(1, 60))])
+    np.testing.assert_array_equal(topology.components(faces), components_by_merging(faces))
+
+
+def test_boxes_that_share_a_vertex_are_two_components_and_along_an_edge_one():
+    for offset, count in (((3, 0, 0), 2), ((1, 1, 1), 2), ((1, 1, 0), 1)):
+        both = trimesh.util.concatenate([BOX, BOX.copy().apply_translation(offset)])
+        _, faces = topology.weld(both.vertices, both.faces, 1e-6)
+        assert topology.components(faces).max() + 1 == count
 
 
 def test_duplicates_go_whichever_way_they_run_round():
@@ -61,15 +82,15 @@ def test_double_sided_export_keeps_one_side_and_a_fold_loses_both():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_orientation_is_restored_per_body(seed):
+def test_orientation_is_restored_per_component(seed):
     both = trimesh.util.concatenate([BALL, BOX.copy().apply_translation([3, 0, 0])])
     flipped = np.random.default_rng(seed).random(len(both.faces)) < 0.4
     faces = both.faces.copy()
     faces[flipped] = faces[flipped][:, ::-1]
-    found, changed = topology.oriented(both.vertices, faces)
+    turned, changed = topology.oriented(both.vertices, faces)
     assert changed == flipped.sum()
-    assert topology.is_closed(found)
-    assert topology.volume(both.vertices, found) == pytest.approx(BALL.volume + 1)
+    assert topology.is_closed(turned)
+    assert measures.signed_volume(both.vertices, turned) == pytest.approx(BALL.volume + 1)
 
 
 def test_orientation_leaves_a_flat_sheet_as_it_is():
@@ -94,14 +115,3 @@ def test_holes_that_touch_in_a_vertex_have_a_rim_each():
     loops = topology.boundary_loops(faces)
     assert sorted(map(len, loops)) == [3, 3]
     assert topology.is_closed(np.vstack([faces, *[[loop] for loop in loops]]))
-
-
-def test_distance_to_a_surface():
-    points = np.array([[2.0, 0, 0], [0, 0, 0.1], [1, 1, 1]])
-    np.testing.assert_allclose(topology.distance(points, BOX.vertices, BOX.faces), [1.5, 0.4, 0.75**0.5])
-
-
-def test_vertex_normals_of_a_ball_point_outwards():
-    normals = topology.vertex_normals(BALL.vertices, BALL.faces)
-    np.testing.assert_allclose(normals, BALL.vertices, atol=0.03)
-    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1)

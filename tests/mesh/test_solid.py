@@ -11,8 +11,9 @@ import trimesh
 
 from genmf_mi.assets import asset
 from genmf_mi.core.errors import SolidError
-from genmf_mi.mesh import rebuild, repair, solid, topology
+from genmf_mi.mesh import measures, rebuild, repair, solid, topology
 from genmf_mi.mesh.manifold import is_solid
+from genmf_mi.mesh.nearest import distance_to_surface
 
 BALL = trimesh.creation.icosphere(subdivisions=3)
 BOX = trimesh.creation.box()
@@ -157,7 +158,7 @@ def test_soup_with_gaps_is_rebuilt_where_it_was():
     assert made.report["rebuilt"]
     assert made.report["bodies"] == 1
     assert made.report["volume"] == pytest.approx(coarse.volume, rel=0.02)
-    assert topology.distance(made.vertices, coarse.vertices, coarse.faces).max() < 0.05
+    assert distance_to_surface(made.vertices, coarse.vertices, coarse.faces).max() < 0.05
 
 
 def sheet(resolution: int = 30) -> tuple[np.ndarray, np.ndarray]:
@@ -206,8 +207,8 @@ def test_rebuilding_keeps_a_box_within_half_a_cell():
     fine = BOX.subdivide().subdivide()
     vertices, faces, step = rebuild.rebuild(*_arrays(fine), cells=40)
     assert is_solid(vertices, faces)
-    assert topology.distance(vertices, *_arrays(fine)).max() < 0.5 * step
-    assert topology.volume(vertices, faces) == pytest.approx(1, rel=0.01)
+    assert distance_to_surface(vertices, *_arrays(fine)).max() < 0.5 * step
+    assert measures.signed_volume(vertices, faces) == pytest.approx(1, rel=0.01)
     import igl  # the skipped blocks have the sign that the winding number has there
 
     points = np.random.default_rng(0).uniform(-0.47, 0.47, (200, 3))

@@ -1,4 +1,4 @@
-"""Self-intersections: the fast finder with exact signs against brute force in rational numbers."""
+"""Self-intersections: the fast search with exact signs against brute force in rational numbers."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from genmf_mi.mesh import meshlab
-from genmf_mi.mesh.self_intersections import crossing_faces
+from genmf_mi.mesh.self_intersections import properly_intersecting, self_intersections
 
 
 def sign(p, a, b, c) -> int:
@@ -48,29 +47,29 @@ def test_random_triangles(seed):
     faces = np.arange(60).reshape(-1, 3)
     expected = brute_force(vertices, faces)
     assert 0 < len(expected) < 20
-    np.testing.assert_array_equal(meshlab.self_intersections(vertices, faces), expected)
-    np.testing.assert_array_equal(crossing_faces(vertices, faces, np.arange(20)), expected)
+    np.testing.assert_array_equal(self_intersections(vertices, faces), expected)
+    np.testing.assert_array_equal(properly_intersecting(vertices, faces, np.arange(20)), expected)
 
 
 def test_triangles_that_share_one_corner():
     vertices = np.array([[0, 0, 0], [2, 0, 0], [0, 2, 0], [1, 1, -1], [1, 1, 1.5], [-1, -1, 1], [-1, -1, 2]], float) / 3
     through, beside = np.array([[0, 1, 2], [0, 3, 4]]), np.array([[0, 1, 2], [0, 5, 6]])
-    # The opposite edge of the second face runs exactly through the edge 1–2 of the first: touching, not cutting.
-    assert len(crossing_faces(vertices, through, np.arange(2))) == 0
+    # The opposite edge of the second face runs exactly through the edge 1–2 of the first: touching, not intersecting.
+    assert len(properly_intersecting(vertices, through, np.arange(2))) == 0
     vertices[3:5] *= 0.9
-    np.testing.assert_array_equal(meshlab.self_intersections(vertices, through), [0, 1])
-    assert len(meshlab.self_intersections(vertices, beside)) == 0
+    np.testing.assert_array_equal(self_intersections(vertices, through), [0, 1])
+    assert len(self_intersections(vertices, beside)) == 0
 
 
-def test_two_balls_cut_each_other_and_one_does_not():
+def test_two_balls_intersect_each_other_and_one_does_not():
     ball = trimesh.creation.icosphere(subdivisions=3)
-    assert len(meshlab.self_intersections(ball.vertices, ball.faces)) == 0
+    assert len(self_intersections(ball.vertices, ball.faces)) == 0
     both = trimesh.util.concatenate([ball, ball.copy().apply_translation([0.7, 0.1, 0.05])])
-    found = meshlab.self_intersections(both.vertices, both.faces)
+    faces = self_intersections(both.vertices, both.faces)
     half = len(ball.faces)
-    np.testing.assert_array_equal(found, crossing_faces(both.vertices, both.faces, np.arange(2 * half)))
-    assert (found < half).sum() > 50
-    assert (found >= half).sum() > 50
+    np.testing.assert_array_equal(faces, properly_intersecting(both.vertices, both.faces, np.arange(2 * half)))
+    assert (faces < half).sum() > 50
+    assert (faces >= half).sum() > 50
 
 
 def test_slivers_side_by_side_in_one_plane_do_not_count():
@@ -80,5 +79,5 @@ def test_slivers_side_by_side_in_one_plane_do_not_count():
     square = np.concatenate([np.column_stack([x, 0 * x, 0 * x]), np.column_stack([x, 0 * x + 0.01, 0 * x])]) @ turn.T
     low, high = np.arange(399), np.arange(400, 799)
     faces = np.concatenate([np.column_stack([low, low + 1, high]), np.column_stack([low + 1, high + 1, high])])
-    assert len(meshlab.self_intersections(square, faces)) == 0
-    assert len(crossing_faces(square, faces, np.arange(len(faces)))) == 0
+    assert len(self_intersections(square, faces)) == 0
+    assert len(properly_intersecting(square, faces, np.arange(len(faces)))) == 0
