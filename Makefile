@@ -1,7 +1,7 @@
 # The menu: `make` prints it. Every target sets up what it needs; once that is done, it costs nothing.
 
 .DEFAULT_GOAL := menu
-.PHONY: menu setup refine test lint bench samples doctor clean named
+.PHONY: menu setup refine check test lint coverage bench samples doctor clean named
 
 BIN := .venv/bin
 READY := .venv/ready
@@ -10,9 +10,11 @@ PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check
 define MENU
 make refine ASSET=strawberry    refine a bundled sample or a file; OUT=DIR, ARGS="--size-mm 80 ..."
 make setup                      virtual environment in .venv, packages, LPIPS weights, LLVM
+make check                      lint, then test: what must pass before a commit
 make test                       all tests; ARGS="-k NAME" for some
-make lint                       ruff
-make bench                      timings into benchmarks/results/
+make lint                       ruff, import contract, types
+make coverage                   tests with coverage of lines and branches
+make bench                      what makes which file of benchmarks/results; ARGS="NAME" or ARGS="--all ASSETS_DIR" to run it
 make samples                    write the bundled samples as GLB files
 make doctor                     what is there, what is missing, how to mend it
 make clean                      remove .venv and caches; your runs stay
@@ -44,11 +46,19 @@ named:
 refine: named $(READY)
 	@$(BIN)/genmf-mi refine "$(ASSET)" $(if $(OUT),--out "$(OUT)") $(ARGS)
 
+check: lint test
+
 test: $(READY)
 	@$(BIN)/python -m pytest $(ARGS)
 
 lint: $(READY)
-	@$(BIN)/ruff check .
+	@$(BIN)/ruff check --quiet .
+	@$(BIN)/ruff format --check --quiet . || { echo "error: not formatted. Run $(BIN)/ruff format ." >&2; exit 1; }
+	@report=$$($(BIN)/lint-imports --no-cache) || { echo "$$report"; exit 1; }
+	@$(BIN)/pyright --pythonpath $(BIN)/python --warnings
+
+coverage: $(READY)
+	@$(BIN)/python -m pytest --cov=genmf_mi --cov-branch --cov-report=term $(ARGS)
 
 bench: $(READY)
 	@$(BIN)/python -m benchmarks $(ARGS)

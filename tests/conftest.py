@@ -97,18 +97,14 @@ def two_views(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def small_refinements(lpips_weights) -> Iterator[None]:
     """Small pictures and meshes, and two of the displacements."""
-    from genmf_mi.pipeline import displacement
-    from genmf_mi.pipeline import evaluation as evaluate
-    from genmf_mi.pipeline import problem as prepare
-    from genmf_mi.pipeline import refinement as refine_module
+    from genmf_mi.pipeline import displacement, evaluator, optimisation, problem
     from genmf_mi.render import target
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(evaluate, "RESOLUTION", 64)
-        patch.setattr(evaluate, "SAMPLES", 4)
+        patch.setattr(evaluator, "RESOLUTION", 64)
+        patch.setattr(evaluator, "SAMPLES", 4)
         patch.setattr(target, "FINEST", 24_000)
         patch.setattr(displacement, "AMPLITUDES", (-0.5, 0.5))
-        patch.setattr(refine_module, "CHECKPOINT_EVERY", 2)
-        for module in (prepare, displacement):  # on edges of 3 mm, everything is broader than the 8 mm of a real part
-            patch.setattr(module, "BROAD_MM", 60.0)
+        patch.setattr(optimisation, "CHECKPOINT_EVERY", 2)
+        patch.setattr(problem, "DETAIL_MM", 60.0)  # edges of 3 mm hold no detail of a real part
         yield

@@ -8,6 +8,7 @@ import numpy as np
 
 from genmf_mi.mesh import topology
 from genmf_mi.mesh.manifold import is_solid
+from genmf_mi.mesh.measures import face_areas, signed_volume
 from genmf_mi.mesh.self_intersections import self_intersections
 from genmf_mi.render import bridge
 
@@ -28,10 +29,10 @@ def check(vertices_mm: np.ndarray, faces: np.ndarray) -> dict[str, Any]:
     """
     return {
         "watertight": bool(is_solid(vertices_mm, faces)),
-        "bodies": int(topology.bodies(faces).max() + 1),
+        "bodies": int(topology.components(faces).max() + 1),
         "self_intersections": len(self_intersections(vertices_mm, faces)),
-        "volume_mm3": float(topology.volume(vertices_mm, faces)),
-        "area_mm2": float(topology.areas(vertices_mm, faces).sum()),
+        "volume_mm3": float(signed_volume(vertices_mm, faces)),
+        "area_mm2": float(face_areas(vertices_mm, faces).sum()),
         "size_mm": [float(x) for x in np.ptp(vertices_mm, axis=0)],
         "min_thickness_mm": min_thickness(vertices_mm, faces),
     }

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from genmf_mi.mesh import topology
+from genmf_mi.mesh.measures import vertex_normals
 
 
 def write_glb(path: Path, vertices: np.ndarray, faces: np.ndarray, rgb: np.ndarray | None, title: str) -> None:
     """One primitive with normals and 16-bit COLOR_0: eight bits of linear light would show as bands in the dark."""
-    attributes = {"POSITION": vertices.astype("<f4"), "NORMAL": topology.vertex_normals(vertices, faces).astype("<f4")}
+    attributes = {"POSITION": vertices.astype("<f4"), "NORMAL": vertex_normals(vertices, faces).astype("<f4")}
     if rgb is not None:
         opaque = np.column_stack([np.clip(rgb, 0, 1), np.ones(len(rgb))])
         attributes["COLOR_0"] = np.rint(opaque * 65535).astype("<u2")

@@ -40,13 +40,13 @@ def back_off(
         if attempt == HALVINGS + WIDENINGS:
             scale[:] = 0
             break
-        kept = 0.5 if attempt < HALVINGS else 0.0
-        rings = _rings(faces, np.unique(faces[intersecting]), reach, len(vertices))
-        # The ring next to the spot gives way most, so that no new edge appears at its rim
-        for number, ring in enumerate(rings):
-            scale[ring] *= kept + (1 - kept) * number / (reach + 1)
+        halve = attempt < HALVINGS
+        # The rings next to the spot give way most, so that no new edge appears at its rim
+        for number, ring in enumerate(_rings(faces, np.unique(faces[intersecting]), reach, len(vertices))):
+            share = number / (reach + 1)
+            scale[ring] *= 0.5 + 0.5 * share if halve else max(0.0, 2 * share - 1)
         attempt += 1
-        reach = REACH if attempt <= HALVINGS else 2 * reach
+        reach = reach if halve else 2 * reach
     held_back = int((scale < 1).sum())
     return scale[:, None] * offsets, {
         "self_intersections_before": before,

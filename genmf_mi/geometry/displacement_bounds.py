@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from genmf_mi.mesh.measures import face_areas, face_normals
+
 CURVATURE_LIMIT = 1.0
 """Share of the radius of curvature that relief may use up."""
 TANGENTIAL_LIMIT = 0.5
@@ -112,12 +114,10 @@ def lateral_thickness(
 
 def base(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Indices of the vertices of the flat base, y up; empty if it covers less than 2 % of the footprint's box."""
-    corner = vertices[faces]
-    cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    area = np.linalg.norm(cross, axis=1) / 2
-    down = -cross[:, 1] / np.maximum(2 * area, 1e-20)
-    low, high = vertices[:, 1].min(), vertices[:, 1].max()
-    flat = (down > 0.98) & (corner[:, :, 1].max(axis=1) < low + BASE_BAND * (high - low))
+    area, height = face_areas(vertices, faces), vertices[:, 1]
+    low, high = height.min(), height.max()
+    down = -face_normals(vertices, faces)[:, 1]
+    flat = (down > 0.98) & (height[faces].max(axis=1) < low + BASE_BAND * (high - low))
     footprint = np.prod(np.ptp(vertices[:, [0, 2]], axis=0))
     return np.unique(faces[flat]) if area[flat].sum() > 0.02 * footprint else np.empty(0, np.int64)
 

@@ -119,7 +119,7 @@ def optimise(optimisation: Optimisation, run: RunFolder | None, progress: Progre
 def iterations(optimisation: Optimisation) -> Iterator[dict[str, Any]]:
     """Make the iterations that are left; yields the record of each."""
     config, stress, start = optimisation.config, optimisation.stress, time.perf_counter()
-    without_gradient = 0
+    entries, without_gradient = sum(p.numel() for p in optimisation.parameterization.parameters), 0
     while optimisation.iteration < config.iterations:
         index = optimisation.iteration
         if stress and not stress.begun and index >= stress.first:
@@ -130,11 +130,12 @@ def iterations(optimisation: Optimisation) -> Iterator[dict[str, Any]]:
         record = {"iteration": index, "stage": stage, **losses, "seconds": round(time.perf_counter() - start, 3)}
         optimisation.history.append(record)
         optimisation.iteration += 1
-        without_gradient = 0 if np.isfinite(losses["loss"]) else without_gradient + 1
+        finite = np.isfinite(losses["loss"]) and losses.get("nonfinite_gradients", 0) < entries
+        without_gradient = 0 if finite else without_gradient + 1
         if without_gradient == PATIENCE:
             raise OptimisationError(
-                f"the loss has not been a finite number for {PATIENCE} iterations. Use a lower --learning-rate; if "
-                "that does not help, please report this with the asset."
+                f"the loss or all of its gradient was not finite for {PATIENCE} iterations. Use a lower "
+                "--learning-rate; if that does not help, please report this with the asset."
             )
         yield record
 

@@ -23,6 +23,7 @@ from genmf_mi.geometry.parameterization import Parameterization
 from genmf_mi.geometry.sdf import SdfParameterization
 from genmf_mi.mesh import solid, topology
 from genmf_mi.mesh.manifold import is_solid
+from genmf_mi.mesh.measures import signed_volume
 from genmf_mi.pipeline import evaluator
 from genmf_mi.render import bridge, target
 from genmf_mi.render import scene as scenes
@@ -187,9 +188,9 @@ def extract(asset: SdfAsset) -> tuple[SdfAsset, solid.Solid]:
     report = {
         "samples_per_axis": len(phi),
         "faces": len(faces),
-        "bodies": int(topology.bodies(faces).max() + 1),
+        "bodies": int(topology.components(faces).max() + 1),
         "specks_dropped": dropped,
-        "volume": topology.volume(vertices, faces),
+        "volume": signed_volume(vertices, faces),
     }
     return asset, solid.Solid(vertices, faces, asset.report | report)
 

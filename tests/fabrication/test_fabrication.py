@@ -17,6 +17,7 @@ from genmf_mi.core.colour import to_linear
 from genmf_mi.core.errors import OutputError
 from genmf_mi.core.frame import Frame
 from genmf_mi.fabrication import files as fabricate
+from genmf_mi.fabrication.checks import check
 
 BALL = trimesh.creation.icosphere(subdivisions=3)
 
@@ -125,7 +126,7 @@ def test_two_writes_of_meshes_are_the_same_bytes(tmp_path, part):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
 
-@pytest.mark.parametrize("name", ["_write_3mf", "_write_stl", "write_glb"])
+@pytest.mark.parametrize("name", ["write_3mf", "_write_stl", "write_glb"])
 def test_a_file_that_reads_back_differently_is_not_left_behind(tmp_path, part, monkeypatch, name):
     honest = getattr(fabricate, name)
 
@@ -139,7 +140,7 @@ def test_a_file_that_reads_back_differently_is_not_left_behind(tmp_path, part, m
     assert not list(tmp_path.glob(".*"))
 
 
-@pytest.mark.parametrize("name", ["_write_3mf", "_write_stl", "write_glb"])
+@pytest.mark.parametrize("name", ["write_3mf", "_write_stl", "write_glb"])
 def test_a_full_disk_leaves_the_old_file(tmp_path, part, monkeypatch, full_disk, name):
     _write(tmp_path, part)
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
@@ -164,7 +165,7 @@ def test_a_folder_that_cannot_be_made(tmp_path, part):
 
 def test_checks_of_a_plate_with_known_thickness():
     plate = trimesh.creation.box(extents=[40, 1.5, 30]).subdivide_to_size(3)
-    found = fabricate.check(np.asarray(plate.vertices), np.asarray(plate.faces))
+    found = check(np.asarray(plate.vertices), np.asarray(plate.faces))
     assert found["watertight"]
     assert found["bodies"] == 1
     assert found["self_intersections"] == 0
@@ -175,11 +176,11 @@ def test_checks_of_a_plate_with_known_thickness():
 
 
 def test_checks_of_open_and_tangled_meshes():
-    assert not fabricate.check(np.asarray(BALL.vertices) * 9, np.asarray(BALL.faces)[1:])["watertight"]
-    inside_out = fabricate.check(np.asarray(BALL.vertices) * 9, np.asarray(BALL.faces)[:, ::-1])
+    assert not check(np.asarray(BALL.vertices) * 9, np.asarray(BALL.faces)[1:])["watertight"]
+    inside_out = check(np.asarray(BALL.vertices) * 9, np.asarray(BALL.faces)[:, ::-1])
     assert not inside_out["watertight"]
     assert inside_out["min_thickness_mm"] == 0
     both = trimesh.util.concatenate([BALL, BALL.copy().apply_translation([0.7, 0.1, 0.05])])
-    found = fabricate.check(np.asarray(both.vertices) * 9, np.asarray(both.faces))
+    found = check(np.asarray(both.vertices) * 9, np.asarray(both.faces))
     assert found["bodies"] == 2
     assert found["self_intersections"] > 100

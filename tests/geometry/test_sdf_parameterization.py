@@ -14,8 +14,9 @@ from genmf_mi.geometry.displacement_bounds import DisplacementBounds
 from genmf_mi.geometry.sdf import SdfParameterization, SdfState
 from genmf_mi.geometry.sdf_distance import free_weights, slope
 from genmf_mi.losses.sdf import l_dev, sdf_tv
-from genmf_mi.mesh import topology
+from genmf_mi.mesh.nearest import distance_to_surface
 from genmf_mi.mesh.manifold import is_solid
+from genmf_mi.mesh.measures import vertex_normals
 from genmf_mi.mesh.self_intersections import self_intersections
 from genmf_mi.sdf import flexicubes
 from genmf_mi.sdf.distance import signed_distance
@@ -52,7 +53,7 @@ def parameterized(asset: SdfAsset, inward=CAP, outward=CAP, *, smoothing: float 
     frame = Frame.of(vertices, 100.0)
     vertices = frame.normalise(vertices)
     bounds = DisplacementBounds(*(np.broadcast_to(x, len(vertices)).astype(float) for x in (inward, outward, 0)))
-    normals = topology.vertex_normals(vertices, faces)
+    normals = vertex_normals(vertices, faces)
     return SdfParameterization(
         asset, frame, vertices, faces, normals, bounds, smoothing=smoothing, wavelength=wavelength
     )
@@ -76,7 +77,7 @@ def test_shell_against_brute_force(bent):
     found = shell(asset.phi < 0, asset.deformation, vertices, faces, CAP)
     cell = 2 / (SAMPLES - 1)
     places = grid() if asset.deformation is None else grid() + asset.deformation
-    distance = topology.distance(places.reshape(-1, 3), vertices, faces)
+    distance = distance_to_surface(places.reshape(-1, 3), vertices, faces)
     np.testing.assert_array_equal(found.samples, np.flatnonzero(distance <= CAP + cell))
     np.testing.assert_allclose(found.distance, distance[found.samples], atol=1e-12)
     np.testing.assert_allclose(found.places, places.reshape(-1, 3)[found.samples])
@@ -94,7 +95,7 @@ def test_shell_against_brute_force(bent):
     centres = (np.stack(np.unravel_index(found.cubes, (n, n, n)), axis=1) + 0.5) * cell - 1
     np.testing.assert_allclose(found.centres, centres)
     all_centres = (grid()[:-1, :-1, :-1] + cell / 2).reshape(-1, 3)
-    near = topology.distance(all_centres, vertices, faces) <= CAP + 0.87 * cell
+    near = distance_to_surface(all_centres, vertices, faces) <= CAP + 0.87 * cell
     np.testing.assert_array_equal(found.cubes, np.flatnonzero(near))
 
 
@@ -314,7 +315,7 @@ class TestDistance:
         reached = geometry.displaced(np.full(len(geometry.vertices), 0.03))
         vertices, faces = geometry.surface(reached)
         with torch.no_grad():
-            found = geometry.distance(33)(geometry.geometry().shape)[0].numpy()
+            found = geometry.distance(33)(geometry.fields(reached)[0])[0].numpy()
         exact = signed_distance(vertices, faces, 33)
         near = np.abs(exact) < 0.03
         assert near.sum() > 300 and np.abs(found - exact)[near].max() < 3e-3

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
 
 import numpy as np
@@ -9,16 +10,17 @@ import pytest
 import torch
 import trimesh
 
+from genmf_mi.core.config import Weights
 from genmf_mi.geometry.mesh_distance import MeshDistance
 from genmf_mi.losses import stress as losses
 from genmf_mi.sdf.distance import signed_distance
-from genmf_mi.stress import penalty
 from genmf_mi.stress.model import compute
 from genmf_mi.stress.model.network import Architecture, StressNetwork, window
-from genmf_mi.stress.penalty import StressPenalty
+from genmf_mi.stress.penalty import TERMS, StressPenalty
 
 N = 33
 CELL = 2 / (N - 1)
+BAND = 0.2
 
 
 def body() -> trimesh.Trimesh:
@@ -144,15 +146,15 @@ def test_gradients_against_differences(tiny) -> None:
             assert float((gradient * direction).sum()) == pytest.approx(float(slope), rel=0.02)
 
 
-class TestHeld:
-    """The penalty of a shape that moves, looked at every third call."""
+class TestPenalty:
+    """The penalty of a shape that moves, evaluated every third call."""
 
     def penalty(self, tiny: Tiny, every: int = 3) -> tuple[StressPenalty, torch.Tensor]:
         mesh = body()
         tiny.boxes.clear()
         start = tensor(mesh.vertices)
         # One search, as each moves the samples deep inside by hundredths of a cell
-        return StressPenalty(tiny, MeshDistance(mesh.faces, N, every=1000), start, every), start
+        return StressPenalty(tiny, MeshDistance(mesh.faces, N, every=1000), start, every=every, band=BAND), start
 
     def test_is_nothing_at_the_start(self, tiny) -> None:
         held, start = self.penalty(tiny)
@@ -161,18 +163,17 @@ class TestHeld:
         assert list(terms.values()) == pytest.approx([1, 1, 1, 1], rel=1e-9)
         assert float(loss) == pytest.approx(0, abs=1e-9)
 
-    def test_terms_are_relative_to_the_start(self, tiny, monkeypatch) -> None:
-        monkeypatch.setattr(penalty, "BAND", 0.2)
+    def test_terms_are_relative_to_the_start(self, tiny) -> None:
         held, start = self.penalty(tiny)
         moved = 1.02 * start
         loss, terms = held(moved)
         assert float(loss) == pytest.approx(sum(terms.values()) - 4, rel=1e-9)
         values = []
         for shape in (start, moved):
-            phi = held.distance(shape).numpy()
-            field = tiny.field(tensor(phi), held.box).numpy()
+            phi = held._distance(shape).numpy()
+            field = tiny.field(tensor(phi), held._crop).numpy()
             weight = np.clip(-phi / (0.5 * CELL), 0, 1)
-            near = weight * np.clip(0.5 + (phi + 0.2) / CELL, 0, 1)
+            near = weight * np.clip(0.5 + (phi + BAND) / CELL, 0, 1)
             mean = np.average(field, weights=weight)
             variance = np.average((field - mean) ** 2, weights=weight)
             peak = np.average(field**8, weights=weight) ** (1 / 8)
@@ -203,20 +204,49 @@ class TestHeld:
         slope = (values[0] - values[1]) / (2 * step)
         assert float((gradient * direction).sum()) == pytest.approx(slope, rel=0.02)
 
-    @pytest.mark.parametrize(("every", "looks"), [(1, 7), (3, 3), (10, 1)])
-    def test_looks_every_few_calls_through_one_window(self, tiny, every, looks) -> None:
+    @pytest.mark.parametrize(("every", "evaluations"), [(1, 7), (3, 3), (10, 1)])
+    def test_is_evaluated_every_few_calls_in_one_crop(self, tiny, every, evaluations) -> None:
         held, start = self.penalty(tiny, every)
         for i in range(7):
             held((1 + 0.03 * i) * start)
-        assert len(tiny.boxes) == 1 + looks
+        assert len(tiny.boxes) == 1 + evaluations
         assert all(box == tiny.boxes[0] for box in tiny.boxes)
 
     def test_of_phi_itself(self, tiny) -> None:
         """Where the shape is Φ, nothing stands between: a step against the gradient lowers the penalty."""
         phi = tensor(signed_distance(body().vertices, body().faces, N))[None]
-        held = StressPenalty(tiny, lambda shape: shape, phi, every=1)
+        held = StressPenalty(tiny, lambda shape: shape, phi, every=1, band=BAND)
         place = phi.clone().requires_grad_()
         loss, _ = held(place)
         (gradient,) = torch.autograd.grad(loss, place)
         less, _ = held(phi - 1e-4 * gradient / gradient.abs().max())
         assert less < loss
+
+    def test_weights_of_the_terms(self, tiny) -> None:
+        mesh = body()
+        start = tensor(mesh.vertices)
+        weights = Weights(stress_mean=2.0, stress_variance=0.0, stress_band=0.5, stress_peak=0.0)
+        distance = MeshDistance(mesh.faces, N, every=1000)
+        penalty = StressPenalty(tiny, distance, start, every=1, band=BAND, weights=weights)
+        value, terms = penalty(1.02 * start)
+        expected = 2.0 * (terms["stress_mean"] - 1) + 0.5 * (terms["stress_band"] - 1)
+        assert float(value) == pytest.approx(expected, rel=1e-9)
+        assert set(terms) == set(TERMS), "all are reported"
+
+    @pytest.mark.parametrize("calls", [1, 2, 3, 4])
+    def test_continued_from_its_state(self, tiny, calls) -> None:
+        """Whether an evaluation is due next or not: the same values and gradients, bit by bit."""
+        whole, start = self.penalty(tiny)
+        shapes = [(1 + 0.01 * i) * start for i in range(6)]
+        for shape in shapes[:calls]:
+            whole(shape)
+        other, _ = self.penalty(tiny)
+        other.load_state_dict(copy.deepcopy(whole.state_dict()))
+        for shape in shapes[calls:]:
+            pair = []
+            for penalty in (whole, other):
+                place = shape.clone().requires_grad_()
+                value, terms = penalty(place)
+                pair.append((value.detach(), torch.autograd.grad(value, place)[0], terms))
+            assert torch.equal(pair[0][0], pair[1][0]) and torch.equal(pair[0][1], pair[1][1])
+            assert pair[0][2] == pair[1][2]

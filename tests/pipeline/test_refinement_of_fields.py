@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 import trimesh
-from toys import egg, painted
+from toy_runs import Recorder
+from toys import egg, painted, stripes
 
 import genmf_mi
 from genmf_mi.assets import samples, sources
@@ -20,9 +20,10 @@ from genmf_mi.assets.generators.from_mesh import convert
 from genmf_mi.assets.sdf_asset import SdfAsset
 from genmf_mi.cli.main import main
 from genmf_mi.core.errors import AssetError, OutputError
-from genmf_mi.mesh import meshlab, topology
 from genmf_mi.mesh.manifold import is_solid
-from genmf_mi.pipeline.refinement import Listener
+from genmf_mi.mesh.nearest import distance_to_surface
+from genmf_mi.mesh.self_intersections import self_intersections
+from genmf_mi.pipeline.checkpoint import Checkpoint
 from genmf_mi.pipeline.run_folder import CHECKPOINT
 from genmf_mi.render import scene
 
@@ -30,10 +31,6 @@ CONFIG = genmf_mi.RefineConfig(iterations=6, resolution=96, samples=4, score_vgg
                                max_relief_mm=2.0, device="cpu")  # fmt: skip
 TOLERANCE_MM = 1e-2
 """Between two runs with the same seed, see test_refine.py; where weights move a vertex, a flip of a diagonal adds."""
-
-
-def stripes(points: np.ndarray) -> np.ndarray:
-    return np.where(np.sin(10 * points[:, 1:2] + 3 * points[:, :1]) > 0, np.float32([0.8, 0.2, 0.2]), np.float32(0.15))
 
 
 @pytest.fixture(scope="module")
@@ -49,15 +46,6 @@ def _small(small_refinements):
     pass
 
 
-class Interruption(Listener):
-    def __init__(self, at: int) -> None:
-        self.at = at
-
-    def iteration(self, index: int, count: int, terms: dict[str, float]) -> None:
-        if index == self.at:
-            raise KeyboardInterrupt
-
-
 @pytest.fixture(scope="module")
 def whole(shape, two_views, tmp_path_factory):
     return genmf_mi.refine(shape, CONFIG, out=tmp_path_factory.mktemp("run") / "toy", scene=two_views)
@@ -65,7 +53,7 @@ def whole(shape, two_views, tmp_path_factory):
 
 def apart_mm(one, other) -> float:
     """The largest distance from a vertex of one to the surface of the other, in mm."""
-    return float(topology.distance(one.vertices_mm, other.vertices_mm, other.faces).max())
+    return float(distance_to_surface(one.vertices_mm, other.vertices_mm, other.faces).max())
 
 
 class TestWhole:
@@ -83,11 +71,11 @@ class TestWhole:
 
     def test_solid_within_the_cap(self, whole, shape):
         assert is_solid(whole.vertices, whole.faces)
-        assert len(meshlab.self_intersections(whole.vertices, whole.faces)) == 0
+        assert len(self_intersections(whole.vertices, whole.faces)) == 0
         metrics = whole.metrics
         assert metrics["solid"]["watertight"] and metrics["solid"]["bodies"] == 1
         scale = 100 / np.ptp(shape.surface(training=True)[0], axis=0).max()
-        distance = topology.distance(whole.vertices, *shape.surface(training=True)) * scale
+        distance = distance_to_surface(whole.vertices, *shape.surface(training=True)) * scale
         assert distance.max() <= CONFIG.max_relief_mm + 1e-6
         assert metrics["relief_mm"]["max"] == pytest.approx(distance.max(), rel=1e-3)
         np.testing.assert_allclose(np.abs(whole.relief_mm), distance, atol=0.05)
@@ -112,10 +100,9 @@ class TestWhole:
     def test_interrupted_and_resumed(self, whole, shape, two_views, tmp_path):
         """A closed part at once, and in the end the same as without the break."""
         folder = tmp_path / "run"
-        stopped = genmf_mi.refine(shape, CONFIG, out=folder, scene=two_views, listener=Interruption(at=2))
+        stopped = genmf_mi.refine(shape, CONFIG, out=folder, scene=two_views, progress=Recorder(stop=3))
         assert stopped.metrics["interrupted"] and stopped.metrics["solid"]["watertight"]
-        with np.load(folder / CHECKPOINT) as state:
-            assert int(state["iteration"]) == 3
+        assert Checkpoint.load(folder / CHECKPOINT).iteration == 3
         resumed = genmf_mi.refine(shape, CONFIG, out=folder, scene=two_views, resume=True)
         assert apart_mm(whole, resumed) < TOLERANCE_MM and len(resumed.history) == 6
         assert resumed.metrics["after"]["ssim"] == pytest.approx(whole.metrics["after"]["ssim"], abs=1e-3)
@@ -129,24 +116,8 @@ class TestWhole:
         assert 0.2 < metrics["relief_mm"]["max"] <= CONFIG.max_relief_mm
 
 
-class Waves:
-    """Stands for a trained predictor: a smooth field, raised where the body reaches far along x."""
-
-    def __init__(self, device: str = "cpu") -> None:
-        from types import SimpleNamespace
-
-        self.settings = SimpleNamespace(grid=33)
-
-    def field(self, phi: torch.Tensor, box: tuple[slice, slice, slice]) -> torch.Tensor:
-        x = torch.linspace(-1, 1, 33)[:, None, None]
-        return (1.5 + torch.sin(8 * x)) * torch.sigmoid(-phi * 20)
-
-
-def test_second_stage(shape, two_views, monkeypatch):
+def test_second_stage(shape, two_views, waves):
     """Φ goes to the predictor, whose terms reach the history and whose gradient reaches Φ."""
-    from genmf_mi.stress.model import predictor
-
-    monkeypatch.setattr(predictor, "Predictor", Waves)
     config = replace(CONFIG, stress=True, stage_one_share=0.5)
     history = genmf_mi.refine(shape, config, scene=two_views).history
     assert [line["stage"] for line in history] == [1, 1, 1, 2, 2, 2]

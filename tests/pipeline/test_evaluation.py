@@ -14,9 +14,9 @@ from skimage.metrics import structural_similarity
 
 import genmf_mi
 from genmf_mi.assets.asset import Asset
-from genmf_mi.core import config
-from genmf_mi.pipeline import evaluation as evaluate
-from genmf_mi.pipeline.evaluation import UNSEEN_TURNS, Evaluator, ssim, unseen
+from genmf_mi.core.config import RefineConfig
+from genmf_mi.pipeline import evaluation, evaluator
+from genmf_mi.pipeline.evaluator import UNSEEN_TURNS, Evaluator, ssim, unseen_views
 from genmf_mi.render import bridge, scene, target, variant
 from genmf_mi.render.scene import View
 
@@ -44,13 +44,13 @@ def striped(points: np.ndarray, _normals: np.ndarray | None = None) -> np.ndarra
 def small():
     """Small pictures in place of the protocol's."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(evaluate, "RESOLUTION", 96)
-        patch.setattr(evaluate, "SAMPLES", 4)
+        patch.setattr(evaluator, "RESOLUTION", 96)
+        patch.setattr(evaluator, "SAMPLES", 4)
         yield
 
 
 @pytest.fixture(scope="module")
-def judges(tmp_path_factory, small, lpips_weights) -> dict[str, Evaluator]:
+def evaluators(tmp_path_factory, small, lpips_weights) -> dict[str, Evaluator]:
     """Of the same shape in one colour, and with stripes."""
     variant.use("cpu")
     vertices, faces = ball()
@@ -71,65 +71,65 @@ def moved(amount: float = 0.0) -> torch.Tensor:
     return torch.tensor(vertices * bumps, dtype=torch.float32)
 
 
-class TestJudge:
-    def test_the_same_shape_in_one_colour_is_perfect(self, judges):
-        score = judges["plain"].score(judges["plain"].render(moved()))
+class TestEvaluator:
+    def test_the_same_shape_in_one_colour_is_perfect(self, evaluators):
+        score = evaluators["plain"].score(evaluators["plain"].aligned(moved()))
         assert set(score) == KEYS
         for name, value in score.items():
             assert value == pytest.approx(1 if "ssim" in name else 0, abs=2e-4), name
 
-    def test_relief_where_there_is_no_detail_costs(self, judges):
-        judge = judges["plain"]
-        scores = [judge.score(judge.render(moved(amount))) for amount in (0.0, 0.002, 0.006)]
+    def test_relief_where_there_is_no_detail_costs(self, evaluators):
+        scorer = evaluators["plain"]
+        scores = [scorer.score(scorer.aligned(moved(amount))) for amount in (0.0, 0.002, 0.006)]
         for name in KEYS:
             values = [score[name] for score in scores]
             assert values == sorted(values, reverse="ssim" in name), name
             assert abs(values[2] - values[0]) > 2e-3, name
 
-    def test_detail_that_is_missing_costs(self, judges):
-        score = judges["striped"].score(judges["striped"].render(moved()))
+    def test_detail_that_is_missing_costs(self, evaluators):
+        score = evaluators["striped"].score(evaluators["striped"].aligned(moved()))
         assert score["ssim"] < 0.95 and score["lpips_alex"] > 0.02 and score["g_ssim"] < 0.95
         # The background is equal in both: what is lost is lost inside
         assert score["ssim_mask"] < score["ssim"] and score["lpips_mask_alex"] > score["lpips_alex"]
 
-    def test_exposure_and_paint_cost_nothing(self, judges):
+    def test_exposure_and_paint_cost_nothing(self, evaluators):
         """A part of another grey looks the same after alignment."""
-        judge = judges["striped"]
-        before = judge.render(moved())
-        key = f"{judge.scene.shape_id}.bsdf.albedo.value"
-        paint = float(np.ravel(judge.scene.params[key])[0])
-        judge.scene.params[key] = paint / 2
-        judge.scene.params.update()
+        scorer = evaluators["striped"]
+        before = scorer.aligned(moved())
+        key = f"{scorer.scene.shape_id}.bsdf.albedo.value"
+        paint = float(np.ravel(scorer.scene.params[key])[0])
+        scorer.scene.params[key] = paint / 2
+        scorer.scene.params.update()
         try:
-            assert (judge.render(moved()) - before).abs().max() < 1e-4
+            assert (scorer.aligned(moved()) - before).abs().max() < 1e-4
         finally:
-            judge.scene.params[key] = paint
-            judge.scene.params.update()
+            scorer.scene.params[key] = paint
+            scorer.scene.params.update()
 
-    def test_image_as_it_is_compared(self, judges):
-        judge = judges["striped"]
-        image = judge.render(moved(0.006))
-        assert image.shape == judge.target.shape == (2, 1, 96, 96)
-        for x in (image, judge.target):
+    def test_image_as_it_is_compared(self, evaluators):
+        scorer = evaluators["striped"]
+        image = scorer.aligned(moved(0.006))
+        assert image.shape == scorer.target.shape == (2, 1, 96, 96)
+        for x in (image, scorer.target):
             assert x.min() >= 0 and 0.5 < x.max() <= 1
-            assert (x[judge.mask == 0] == 0).all()
-        for ours, theirs, mask in zip(image, judge.target, judge.mask, strict=True):
+            assert (x[scorer.mask == 0] == 0).all()
+        for ours, theirs, mask in zip(image, scorer.target, scorer.mask, strict=True):
             weights = mask.numpy().ravel()
             assert np.average(ours.numpy().ravel(), weights=weights) == pytest.approx(
                 np.average(theirs.numpy().ravel(), weights=weights), abs=0.03
             )  # clipped values are all that differs
 
-    def test_the_same_twice(self, judges):
-        judge = judges["striped"]
-        first, second = (judge.score(judge.render(moved(0.003)), networks=("alex",)) for _ in range(2))
+    def test_the_same_twice(self, evaluators):
+        scorer = evaluators["striped"]
+        first, second = (scorer.score(scorer.aligned(moved(0.003)), networks=("alex",)) for _ in range(2))
         assert first["lpips_vgg"] is first["lpips_mask_vgg"] is None
         assert {k: v for k, v in first.items() if v is not None} == pytest.approx(
             {k: v for k, v in second.items() if v is not None}, abs=1e-5
         )
 
-    def test_no_derivatives_are_kept(self, judges):
+    def test_no_derivatives_are_kept(self, evaluators):
         vertices = moved().requires_grad_()
-        assert not judges["plain"].render(vertices).requires_grad
+        assert not evaluators["plain"].aligned(vertices).requires_grad
 
 
 def test_ssim_is_that_of_scikit_image():
@@ -147,7 +147,7 @@ class TestUnseen:
     @pytest.mark.parametrize("name", SETS)
     def test_between_the_standard_views(self, name):
         views = SETS[name]
-        between = unseen(views)
+        between = unseen_views(views)
         assert len(between) == len(set(between)) == len(views)
         around = sorted(view.azimuth % 360 for view in views)
         for i, view in enumerate(sorted(between, key=lambda v: (v.azimuth - around[0]) % 360)):
@@ -158,18 +158,18 @@ class TestUnseen:
     @pytest.mark.parametrize("name", SETS)
     def test_none_was_seen(self, name):
         """Each is 10° or more from every standard view, or lit from elsewhere."""
-        for view in unseen(SETS[name]):
+        for view in unseen_views(SETS[name]):
             assert view.light_turn in UNSEEN_TURNS
             for seen in SETS[name]:
                 away = abs((view.azimuth - seen.azimuth + 180) % 360 - 180)
                 assert max(away, abs(view.elevation - seen.elevation)) >= 10
 
     def test_each_lighting_half_of_the_time(self):
-        turns = [view.light_turn for view in unseen(SETS["default"])]
+        turns = [view.light_turn for view in unseen_views(SETS["default"])]
         assert [turns.count(turn) for turn in UNSEEN_TURNS] == [3, 3]
 
     def test_one_view(self):
-        assert unseen((View(20, 0),)) == (View(200, 5.0, UNSEEN_TURNS[0]),)
+        assert unseen_views((View(20, 0),)) == (View(200, 5.0, UNSEEN_TURNS[0]),)
 
 
 @pytest.mark.usefixtures("small", "lpips_weights")
@@ -178,8 +178,8 @@ class TestEvaluate:
     def _coarse(self, monkeypatch):
         """The default mesh and reference are far finer than such small pictures show."""
         monkeypatch.setattr(target, "FINEST", 40_000)
-        settings = config.RefineConfig(max_faces=10_000, edge_mm=2.0)
-        monkeypatch.setattr(config, "RefineConfig", lambda size_mm: replace(settings, size_mm=size_mm))
+        settings = RefineConfig(max_faces=10_000, edge_mm=2.0)
+        monkeypatch.setattr(evaluation, "RefineConfig", lambda size_mm: replace(settings, size_mm=size_mm))
 
     def test_a_pair_of_files(self, tmp_path, two_views):
         """The painted shape against bumpy ones, as a GLB and as a print file, lying and in facets."""

@@ -5,52 +5,76 @@ from __future__ import annotations
 import errno
 import json
 import os
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
-import numpy as np
 import pytest
+import torch
 import yaml
 
 from genmf_mi.core.config import PRESETS, RefineConfig, Weights
 from genmf_mi.core.errors import ConfigError, OutputError
-from genmf_mi.pipeline.run_folder import CHECKPOINT, CONFIG, HISTORY, METRICS, Run
+from genmf_mi.pipeline.checkpoint import Checkpoint
+from genmf_mi.pipeline.run_folder import CHECKPOINT, CONFIG, HISTORY, METRICS, RunFolder
 
 SETTINGS = RefineConfig(iterations=50, view_jitter=(10.0, 5.0), weights=Weights(grey_l1=0.3))
 
 
-def started(folder: Path, config: RefineConfig = SETTINGS, asset: str = "toy", *, force=False, resume=False) -> Run:
-    return Run.open(folder, asset, config, force=force, resume=resume)
+def started(
+    folder: Path, config: RefineConfig = SETTINGS, asset: str = "toy", *, force=False, resume=False
+) -> RunFolder:
+    return RunFolder.open(folder, asset, config, force=force, resume=resume)
 
 
 def lines(first: int, last: int) -> list[dict]:
     return [{"iteration": i, "loss": 1 / (i + 1)} for i in range(first, last)]
 
 
-def state(iteration: int) -> dict[str, np.ndarray]:
-    return {"iteration": np.array(iteration), "latent": np.arange(6.0).reshape(2, 3) * iteration}
+def state(iteration: int) -> Checkpoint:
+    """As after so many iterations, in stage two."""
+    parameter = torch.arange(6.0).view(2, 3).requires_grad_()
+    optimiser = torch.optim.Adam([parameter])
+    parameter.grad = torch.ones(2, 3)
+    optimiser.step()
+    stage_one = Checkpoint.of(10, (parameter,), optimiser, {})
+    stress = {"gradient_norm_weight": 0.5, "penalty": {"calls": iteration, "tangent": {"value": torch.tensor(2.0)}}}
+    return Checkpoint.of(iteration, (parameter * iteration,), optimiser, stress, stage_one)
 
 
-def interrupted(folder: Path, iteration: int = 25) -> Run:
+def assert_same(one: Checkpoint, other: Checkpoint) -> None:
+    """Every number and tensor of two checkpoints."""
+
+    def flat(values) -> list:
+        items = (
+            values.values() if isinstance(values, dict) else values if isinstance(values, (tuple, list)) else [values]
+        )
+        return [x for v in items for x in (flat(v) if isinstance(v, (dict, tuple, list)) else [v])]
+
+    for a, b in zip(flat(asdict(one)), flat(asdict(other)), strict=True):
+        assert torch.equal(a, b) if torch.is_tensor(a) else a == b
+    assert (one.stage_one is None) == (other.stage_one is None)
+
+
+def interrupted(folder: Path, iteration: int = 25) -> RunFolder:
     run = started(folder)
     run.save(state(iteration), lines(0, iteration))
     return run
 
 
-def finished(folder: Path) -> Run:
+def finished(folder: Path) -> RunFolder:
     run = interrupted(folder)
     run.finish({"after": {"ssim": 0.9}, "interrupted": False})
     return run
 
 
-def stopped(folder: Path) -> Run:
+def stopped(folder: Path) -> RunFolder:
     """By Ctrl-C: what there is was written, and the run can go on."""
     run = interrupted(folder)
     run.finish({"after": {"ssim": 0.8}, "interrupted": True})
     return run
 
 
-def failed(folder: Path) -> Run:
+def failed(folder: Path) -> RunFolder:
     """Before its first checkpoint, for want of a texture say."""
     return started(folder)
 
@@ -60,9 +84,7 @@ class TestOpen:
         run = started(tmp_path / "deep" / "er")
         written = yaml.safe_load((tmp_path / "deep" / "er" / CONFIG).read_text())
         assert written == run.settings() == {"asset": "toy", **SETTINGS.to_dict()}
-        del written["asset"]
-        assert RefineConfig.from_dict(written) == SETTINGS
-        assert os.listdir(run.folder) == [CONFIG]
+        assert os.listdir(run.path) == [CONFIG]
 
     @pytest.mark.parametrize(
         ("before", "message"),
@@ -83,7 +105,7 @@ class TestOpen:
         (tmp_path / "note.txt").write_text("mine")
         started(tmp_path, replace(SETTINGS, iterations=7), force=True)
         assert set(os.listdir(tmp_path)) == {CONFIG, "note.txt"}
-        assert Run(tmp_path).settings()["iterations"] == 7
+        assert RunFolder(tmp_path).settings()["iterations"] == 7
 
     def test_a_run_that_failed_early_may_be_tried_again(self, tmp_path):
         failed(tmp_path)
@@ -94,8 +116,8 @@ class TestOpen:
         before(tmp_path)
         run = started(tmp_path, resume=True)
         loaded, history = run.load()
-        assert int(loaded["iteration"]) == 25
-        np.testing.assert_array_equal(loaded["latent"], state(25)["latent"])
+        assert loaded.iteration == 25
+        assert_same(loaded, state(25))
         assert history == lines(0, 25)
 
     def test_another_device_may_resume(self, tmp_path):
@@ -135,7 +157,7 @@ class TestOpen:
     def test_where_nothing_can_be_written(self, tmp_path, force):
         (tmp_path / "file").touch()
         for folder in (tmp_path / "file", tmp_path / "file" / "below"):
-            with pytest.raises(OutputError, match="cannot write"):
+            with pytest.raises(OutputError, match=r"cannot (read|write)"):
                 started(folder, force=force)
 
     @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
@@ -153,7 +175,7 @@ class TestSave:
         for count in (2, 5):
             run.save(state(count), lines(0, count))
             assert [json.loads(x) for x in (tmp_path / HISTORY).read_text().splitlines()] == lines(0, count)
-            assert int(run.load()[0]["iteration"]) == count
+            assert run.load()[0].iteration == count
         assert set(os.listdir(tmp_path)) == {CONFIG, HISTORY, CHECKPOINT}
 
     def test_crash_between_the_two_files(self, tmp_path, monkeypatch):
@@ -164,11 +186,11 @@ class TestSave:
             raise KeyboardInterrupt
 
         with monkeypatch.context() as patch:
-            patch.setattr(np, "savez", stop)
+            patch.setattr(torch, "save", stop)
             with pytest.raises(KeyboardInterrupt):
                 run.save(state(30), lines(0, 30))
         loaded, history = run.load()
-        assert int(loaded["iteration"]) == 25 and history == lines(0, 25)
+        assert loaded.iteration == 25 and history == lines(0, 25)
         run.save(state(28), lines(0, 28))
         assert run.load()[1] == lines(0, 28)
 
@@ -176,30 +198,30 @@ class TestSave:
         """The last good checkpoint survives, and no temporary file stays."""
         run = interrupted(tmp_path)
 
-        def full(path, **arrays):
-            Path(path).write_bytes(b"half")
+        def full(state, file):
+            file.write(b"half")
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-        monkeypatch.setattr(np, "savez", full)
+        monkeypatch.setattr(torch, "save", full)
         with pytest.raises(OutputError, match="No space left"):
             run.save(state(30), lines(0, 30))
         assert set(os.listdir(tmp_path)) == {CONFIG, HISTORY, CHECKPOINT}
-        assert int(run.load()[0]["iteration"]) == 25
+        assert run.load()[0].iteration == 25
 
     def test_folder_gone(self, tmp_path):
         """Somebody tidied up: it is made again. Somebody put a file there: that is said."""
-        Run(tmp_path / "gone").save(state(1), lines(0, 1))
+        RunFolder(tmp_path / "gone").save(state(1), lines(0, 1))
         assert set(os.listdir(tmp_path / "gone")) == {HISTORY, CHECKPOINT}
         (tmp_path / "file").touch()
-        with pytest.raises(OutputError, match="cannot write"):
-            Run(tmp_path / "file").save(state(1), lines(0, 1))
+        with pytest.raises(OutputError, match=r"cannot (read|write)"):
+            RunFolder(tmp_path / "file").save(state(1), lines(0, 1))
 
 
 class TestLoad:
     @pytest.mark.parametrize(
         "damage",
         [lambda data: b"", lambda data: b"not a zip", lambda data: data[:100], lambda data: data[:-30],
-         lambda data: data[:90] + bytes(20) + data[110:]],
+         lambda data: data[:-400] + bytes(300) + data[-100:]],
     )  # fmt: skip
     def test_damaged_checkpoint(self, tmp_path, damage):
         run = interrupted(tmp_path)
@@ -210,7 +232,15 @@ class TestLoad:
 
     def test_checkpoint_of_something_else(self, tmp_path):
         run = interrupted(tmp_path)
-        np.savez(tmp_path / CHECKPOINT, weights=np.zeros(3))
+        for other in ({"weights": torch.zeros(3)}, torch.zeros(3), {**asdict(state(3)), "iteration": "three"}):
+            torch.save(other, tmp_path / CHECKPOINT)
+            with pytest.raises(OutputError, match="damaged"):
+                run.load()
+
+    def test_checkpoint_with_code(self, tmp_path):
+        """A file from elsewhere is read without running what it may hold."""
+        run = interrupted(tmp_path)
+        torch.save({**asdict(state(3)), "stress": Path("x")}, tmp_path / CHECKPOINT)
         with pytest.raises(OutputError, match="damaged"):
             run.load()
 
@@ -236,13 +266,12 @@ class TestFinish:
 
 class TestSettings:
     @pytest.mark.parametrize("config", [*PRESETS.values(), SETTINGS], ids=[*PRESETS, "own"])
-    def test_round_trip_through_yaml(self, config):
-        assert RefineConfig.from_dict(yaml.safe_load(yaml.safe_dump(config.to_dict()))) == config
+    def test_plain_types_only(self, config):
+        assert yaml.safe_load(yaml.safe_dump(config.to_dict())) == config.to_dict()
 
-    @pytest.mark.parametrize("data", [{"colour": 1}, {"weights": {"colour": 1.0}}])
-    def test_unknown_setting(self, data):
-        with pytest.raises(ConfigError, match="colour"):
-            RefineConfig.from_dict(data)
+    def test_a_weight_of_zero_is_no_stress_stage(self):
+        assert RefineConfig().stress_stage
+        assert not RefineConfig(stress_weight=0.0).stress_stage and not RefineConfig(stress=False).stress_stage
 
     @pytest.mark.parametrize(
         ("setting", "value"),

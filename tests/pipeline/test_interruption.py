@@ -1,0 +1,117 @@
+"""The same twice, interrupted and resumed."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+
+import pytest
+import trimesh
+from toy_runs import CONFIG, TOLERANCE_MM, Recorder, Waves, difference_mm, ellipsoid
+from toys import stripes
+
+import genmf_mi
+from genmf_mi.assets.asset import Asset
+from genmf_mi.core.errors import ConfigError, OutputError
+from genmf_mi.geometry import uniform_adam
+from genmf_mi.pipeline import optimisation
+from genmf_mi.pipeline.checkpoint import Checkpoint
+from genmf_mi.pipeline.run_folder import CHECKPOINT
+
+SCORES = {"ssim", "lpips_alex", "lpips_vgg", "g_ssim", "g_lpips"}
+
+pytestmark = pytest.mark.usefixtures("small_refinements")
+
+
+class TestSameTwice:
+    def test_same_seed(self, whole, twin):
+        assert difference_mm(whole[0], twin) < TOLERANCE_MM
+        for name in ("ssim", "g_ssim", "lpips_alex"):
+            assert twin.metrics["after"][name] == pytest.approx(whole[0].metrics["after"][name], abs=1e-3)
+        assert twin.history[0]["loss"] == pytest.approx(whole[0].history[0]["loss"], rel=1e-4)
+
+    def test_another_seed(self, toy, two_views, twin):
+        other = genmf_mi.refine(toy, replace(CONFIG, seed=1), scene=two_views)
+        assert difference_mm(other, twin) > 10 * TOLERANCE_MM
+
+
+class TestInterrupted:
+    def test_by_ctrl_c_and_resumed(self, toy, two_views, twin, tmp_path):
+        """What there is gets finished and written; the resumed run ends where the uninterrupted one did."""
+        stopped = genmf_mi.refine(toy, CONFIG, out=tmp_path / "run", scene=two_views, progress=Recorder(stop=3))
+        assert stopped.metrics["interrupted"] is True and stopped.metrics["iterations"] == 3
+        assert {"refined.3mf", "report.html", "metrics.json", CHECKPOINT} <= set(os.listdir(tmp_path / "run"))
+        assert trimesh.load(tmp_path / "run" / "refined.stl").is_watertight
+        assert difference_mm(stopped, twin) > 10 * TOLERANCE_MM
+        with pytest.raises(OutputError, match="interrupted run"):
+            genmf_mi.refine(toy, CONFIG, out=tmp_path / "run", scene=two_views)
+
+        resumed = genmf_mi.refine(toy, CONFIG, out=tmp_path / "run", scene=two_views, resume=True)
+        assert resumed.metrics["interrupted"] is False
+        assert [line["iteration"] for line in resumed.history] == list(range(6))
+        assert resumed.history[:3] == stopped.history
+        assert CHECKPOINT not in os.listdir(tmp_path / "run")
+        assert difference_mm(resumed, twin) < TOLERANCE_MM
+
+    def test_by_a_crash_in_the_middle_of_a_step(self, toy, two_views, twin, tmp_path, monkeypatch):
+        """Ctrl-C between the two moments of Adam, then a crash: neither leaves a trace in what follows."""
+        percentile, calls = uniform_adam.percentile, []
+
+        def interrupted(*arguments):
+            calls.append(1)
+            if len(calls) == 2 * 3 + 2:  # twice a step; now between its two halves in the fourth
+                raise KeyboardInterrupt
+            return percentile(*arguments)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(uniform_adam, "percentile", interrupted)
+            stopped = genmf_mi.refine(toy, CONFIG, out=tmp_path / "run", scene=two_views)
+        assert stopped.metrics["iterations"] == 3
+        with pytest.raises(RuntimeError):
+            genmf_mi.refine(toy, CONFIG, out=tmp_path / "run", scene=two_views, resume=True,
+                            progress=Recorder(stop=5, error=RuntimeError))  # fmt: skip
+        heard = Recorder()
+        resumed = genmf_mi.refine(toy, CONFIG, out=tmp_path / "run", scene=two_views, resume=True, progress=heard)
+        assert [done for done, *_ in heard.records] == [5, 6]  # from the checkpoint after the fourth iteration
+        assert [line["iteration"] for line in resumed.history] == list(range(6))
+        assert difference_mm(resumed, twin) < TOLERANCE_MM
+
+    def test_the_asset_was_changed_meanwhile(self, toy, two_views, tmp_path):
+        genmf_mi.refine(toy, CONFIG, out=tmp_path / "run", scene=two_views, progress=Recorder(stop=1))
+        vertices, faces = ellipsoid()
+        other = Asset.from_arrays("toy", vertices * (1, 0.5, 1), faces, colours=stripes(vertices))
+        with pytest.raises(ConfigError, match="another mesh"):
+            genmf_mi.refine(other, CONFIG, out=tmp_path / "run", scene=two_views, resume=True)
+
+
+class TestResumedAtAnyIteration:
+    """A killed run, continued from its last checkpoint, ends as close to an uninterrupted one as a second uninterrupted
+    one does. Stage two begins after seven iterations and evaluates the stress every third one."""
+
+    CONFIG = replace(CONFIG, iterations=14, stress=True, stress_weight=10.0, stage_one_share=0.5, stress_every=3)
+
+    @pytest.fixture(scope="class")
+    def uninterrupted(self, toy, two_views):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("genmf_mi.stress.model.predictor.Predictor", Waves)
+            return [genmf_mi.refine(toy, self.CONFIG, scene=two_views) for _ in range(2)]
+
+    @pytest.mark.parametrize("killed_after", [4, 7, 8, 9, 10, 13])
+    def test_ends_as_if_nothing_had_happened(
+        self, toy, two_views, waves, uninterrupted, tmp_path, monkeypatch, killed_after
+    ):
+        monkeypatch.setattr(optimisation, "CHECKPOINT_EVERY", 1)
+        run = {"out": tmp_path / "run", "scene": two_views}
+        # The checkpoint of an iteration is written after its progress
+        stop = Recorder(stop=killed_after + 1, error=RuntimeError)
+        with pytest.raises(RuntimeError):
+            genmf_mi.refine(toy, self.CONFIG, **run, progress=stop)
+        assert Checkpoint.load(tmp_path / "run" / CHECKPOINT).iteration == killed_after
+        resumed = genmf_mi.refine(toy, self.CONFIG, **run, resume=True)
+        one, other = uninterrupted
+        assert difference_mm(resumed, one) <= max(2 * difference_mm(one, other), 1e-3)
+        assert [line["stage"] for line in resumed.history] == [1] * 7 + [2] * 7
+        for line, expected in zip(resumed.history, one.history, strict=True):
+            assert line["loss"] == pytest.approx(expected["loss"], rel=1e-4)
+            assert line["gradient_scale"] == pytest.approx(expected["gradient_scale"], rel=1e-2)
+            assert line.get("stress_mean") == pytest.approx(expected.get("stress_mean"), rel=1e-4)
