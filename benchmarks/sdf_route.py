@@ -48,13 +48,13 @@ def refined(path: Path, folder: Path) -> dict | None:
     """``metrics.json`` of the SDF route, made if it is not there; None if the refinement failed."""
     from genmf_mi.assets.asset import load
     from genmf_mi.assets.generators import files
-    from genmf_mi.assets.generators.from_mesh import convert
+    from genmf_mi.assets.generators.from_mesh import sdf_from_mesh
 
     done, field = folder / "metrics.json", folder.with_suffix(".npz")
     if not done.exists():
         if not field.exists():
             field.parent.mkdir(parents=True, exist_ok=True)
-            files.save(convert(load(path), SAMPLES), field)
+            files.save(sdf_from_mesh(load(path), SAMPLES), field)
         going_on = "--resume" if (folder / "checkpoint.npz").exists() else "--force"
         command = [
             sys.executable,

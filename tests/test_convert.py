@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from test_generators import of_instantmesh, write
+from generator_files import of_instantmesh, write
 from toys import egg, painted
 
 from genmf_mi.assets import asset
 from genmf_mi.assets.generators import files
 from genmf_mi.cli import main as cli
-from genmf_mi.mesh.measures import signed_volume
+from genmf_mi.mesh import measures
 
 pytestmark = pytest.mark.usefixtures("workplace")
 
@@ -72,7 +72,7 @@ class TestFromGenerators:
         found = asset.load("chair.glb")
         np.testing.assert_allclose(found.vertices, vertices, atol=1e-6)
         np.testing.assert_array_equal(found.faces, faces)
-        assert signed_volume(found.vertices, found.faces) > 0
+        assert measures.signed_volume(found.vertices, found.faces) > 0
 
     def test_with_the_colours_of_a_mesh(self):
         """To a file of the one schema, which then needs no other."""

@@ -13,11 +13,11 @@ REPEAT, CLAMP, MIRROR = "repeat", "clamp", "mirror"
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """An sRGB-encoded picture with the rules for reading it.
+    """An sRGB-encoded image with the rules for sampling it.
 
     pixels: ``uint8 [H,W,3]``, row 0 at the top, which is v = 0 as in glTF.
-    wrap: the rule outside 0..1 along u and v: ``repeat``, ``clamp`` or ``mirror``.
-    nearest: take the texel instead of interpolating four.
+    wrap: the rule outside of 0..1 along u and v: ``repeat``, ``clamp`` or ``mirror``.
+    nearest: take the nearest texel instead of interpolating four.
     transform: ``[2,3]``, applied to (u, v, 1) before the lookup (KHR_texture_transform).
     """
 
@@ -69,7 +69,7 @@ class Albedo:
 
     @property
     def varies(self) -> bool:
-        """Whether the colour can differ from one point to another at all."""
+        """Whether the colour can differ from one point to another."""
         used = [self.materials[index] for index in np.unique(self.material)]
         return (
             any(material.texture is not None for material in used)
@@ -81,20 +81,20 @@ class Albedo:
         """Linear RGB ``float32 [N,3]`` at ``barycentric [N,3]`` of the faces ``face_index [N]`` of ``faces [F,3]``."""
         corners = faces[face_index]
         rgb = np.einsum("nk,nkc->nc", barycentric.astype(np.float32), self.colours[corners])
-        material = self.material[face_index]
-        for index, this in enumerate(self.materials):
-            here = np.flatnonzero(material == index)
-            if len(here) == 0:
+        numbers = self.material[face_index]
+        for number, material in enumerate(self.materials):
+            rows = np.flatnonzero(numbers == number)
+            if len(rows) == 0:
                 continue
-            rgb[here] *= np.asarray(this.factor, dtype=np.float32)
-            if this.texture is not None:
-                uv = np.einsum("nk,nkc->nc", barycentric[here], self.uv[corners[here]])
-                rgb[here] *= this.texture.sample(uv)
+            rgb[rows] *= np.asarray(material.factor, dtype=np.float32)
+            if material.texture is not None:
+                uv = np.einsum("nk,nkc->nc", barycentric[rows], self.uv[corners[rows]])
+                rgb[rows] *= material.texture.sample(uv)
         return np.clip(rgb, 0, 1)
 
 
 def _wrap(index: np.ndarray, size: int, rule: str) -> np.ndarray:
-    """Texel indices outside the picture brought back into it."""
+    """Texel indices outside of the image mapped back into it."""
     if rule == CLAMP:
         return np.clip(index, 0, size - 1)
     if rule == MIRROR:

@@ -1,7 +1,8 @@
-"""A textured mesh from any of the usual files, exactly as the file stores it."""
+"""A textured mesh from any of the usual file formats, exactly as the file stores it."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -9,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from genmf_mi.assets.albedo import Albedo, Material, Texture
-from genmf_mi.assets.part import Part, join, pixels
-from genmf_mi.core import colour
+from genmf_mi.assets.part import Part, join
 from genmf_mi.core.errors import AssetError, GenmfError
 from genmf_mi.mesh.nearest import Nearest, barycentric
 
@@ -28,7 +28,7 @@ class Asset:
     vertices: ``float64 [V,3]``; UV seams are not welded.
     faces: ``int64 [F,3]``.
     albedo: the colour of every face, linear RGB.
-    source: the file it came from, or None.
+    source: the file that it was read from, or None.
     """
 
     name: str
@@ -48,15 +48,17 @@ class Asset:
         texture: np.ndarray | None = None,
         colours: np.ndarray | None = None,
     ) -> Asset:
-        """An asset made in memory.
+        """An asset from arrays in memory.
 
         Args:
-            vertices: ``[V,3]``, y up. faces: ``[F,3]``, counter-clockwise seen from outside.
-            uv: ``[V,2]`` with v downwards, needed with ``texture``: sRGB ``uint8 [H,W,3]``, row 0 at v = 0, repeated.
+            vertices: ``[V,3]``, y up.
+            faces: ``[F,3]``, counter-clockwise seen from outside.
+            uv: ``[V,2]`` with v downwards, needed with ``texture``.
+            texture: sRGB-encoded ``uint8 [H,W,3]``, row 0 at v = 0, repeated outside of 0..1.
             colours: linear RGB vertex colours ``[V,3]``, multiplied with the texture if both are given.
 
         Raises:
-            AssetError: the arrays do not hold a finite triangle mesh, or do not fit each other.
+            AssetError: the arrays are not a finite triangle mesh, or do not fit each other.
         """
         vertices = np.asarray(vertices, dtype=np.float64).reshape(-1, 3)
         for array, width in ((uv, 2), (colours, 3)):
@@ -65,10 +67,11 @@ class Asset:
         if texture is not None and uv is None:
             raise AssetError(f"{name}: a texture needs texture coordinates.")
         material = Material(texture=None if texture is None else Texture(np.asarray(texture, dtype=np.uint8)))
-        return cls._of(name, [Part(vertices, np.asarray(faces, dtype=np.int64).reshape(-1, 3), material, uv, colours)])
+        faces = np.asarray(faces, dtype=np.int64).reshape(-1, 3)
+        return cls._from_parts(name, [Part(vertices, faces, material, uv, colours)])
 
     @classmethod
-    def _of(cls, name: str, parts: list[Part], source: Path | None = None) -> Asset:
+    def _from_parts(cls, name: str, parts: list[Part], source: Path | None = None) -> Asset:
         where = source or name
         parts = [part for part in parts if len(part.faces)]
         if not parts:
@@ -85,7 +88,7 @@ class Asset:
 
     @property
     def textured(self) -> bool:
-        """Whether there is any colour that relief could show."""
+        """Whether the colour varies, so that there is detail for the relief to show."""
         return self.albedo.varies
 
     def albedo_at(self, face_index: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
@@ -95,8 +98,8 @@ class Asset:
     def closest_albedo(self, points: np.ndarray, normals: np.ndarray | None = None) -> np.ndarray:
         """Linear RGB ``float32 [N,3]`` of the surface nearest to ``points [N,3]`` in file units.
 
-        With ``normals [N,3]`` a face that looks the other way is passed over for one within 2 % of the longest side
-        that does not, so that the inside of a thin wall does not take the colour of its outside.
+        With ``normals [N,3]``, a face that points the other way is replaced by one within 2 % of the longest side that
+        does not, so that the inside of a thin wall does not take the colour of its outside.
         """
         points = np.ascontiguousarray(points, dtype=np.float64)
         index, closest, _ = self._nearest.find(points)
@@ -124,8 +127,8 @@ def load(path: str | Path, up: str | None = None) -> Asset:
     path = Path(path)
     suffix = path.suffix.lower()
     if not path.is_file():
-        state = "a folder" if path.is_dir() else "not there"
-        raise AssetError(f"{path} is {state}. Check the spelling, or give the full path of the file.")
+        problem = "is a folder" if path.is_dir() else "does not exist"
+        raise AssetError(f"{path} {problem}. Check the spelling, or give the full path of the file.")
     if suffix not in FORMATS:
         raise AssetError(f"{path} is of an unknown kind ({suffix or 'no suffix'}). Use one of {', '.join(FORMATS)}.")
     if path.stat().st_size == 0:
@@ -140,11 +143,12 @@ def load(path: str | Path, up: str | None = None) -> Asset:
             "Download or export it again."
         ) from error
     if (up or _UP.get(suffix, "y")) == "z":
-        parts = [part.moved(_Z_UP_TO_Y_UP) for part in parts]
-    return Asset._of(path.stem, parts, path)
+        parts = [part.transformed(_Z_UP_TO_Y_UP) for part in parts]
+    return Asset._from_parts(path.stem, parts, path)
 
 
-def _reader(suffix: str):
+def _reader(suffix: str) -> Callable[[Path], list[Part]]:
+    """The function that reads files of this suffix; its libraries are loaded only when it is needed."""
     if suffix in (".glb", ".gltf"):
         from genmf_mi.assets.formats.gltf import read
     elif suffix == ".obj":
@@ -152,57 +156,5 @@ def _reader(suffix: str):
     elif suffix == ".3mf":
         from genmf_mi.assets.formats.threemf import read
     else:
-        read = _plain
+        from genmf_mi.assets.formats.ply_stl import read
     return read
-
-
-def _plain(path: Path) -> list[Part]:
-    """PLY and STL. A texture decides over coloured vertices, and those over coloured faces."""
-    import trimesh
-
-    names = _ply_textures(path) if path.suffix.lower() == ".ply" else []
-    if len(names) > 1:
-        raise AssetError(f"{path} uses {len(names)} textures. Export it as GLB, or bake them into one.")
-    if names and not (path.parent / names[0]).is_file():
-        raise AssetError(f"{path} uses the texture {names[0]}, which is not beside it. Put it there.")
-    if path.suffix.lower() == ".stl":
-        _require_whole_stl(path)
-    mesh = trimesh.load(path, process=False)
-    if not isinstance(mesh, trimesh.Trimesh):
-        return []
-    vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
-    kind = mesh.visual.kind
-    if names:
-        if kind != "texture" or mesh.visual.uv is None:
-            raise AssetError(f"{path} names a texture but has no texture coordinates. Unwrap it and export it again.")
-        texture = Texture(pixels((path.parent / names[0]).read_bytes(), names[0]))
-        uv = np.column_stack([mesh.visual.uv[:, 0], 1 - mesh.visual.uv[:, 1]])
-        return [Part(vertices, faces, Material(texture=texture), uv)]
-    if kind == "vertex":
-        return [Part(vertices, faces, Material(), colours=colour.bytes_to_linear(mesh.visual.vertex_colors[:, :3]))]
-    if kind == "face":
-        corners = np.repeat(colour.bytes_to_linear(mesh.visual.face_colors[:, :3]), 3, axis=0)
-        alone = np.arange(3 * len(faces)).reshape(-1, 3)
-        return [Part(vertices[faces].reshape(-1, 3), alone, Material(), colours=corners)]
-    return [Part(vertices, faces, Material())]
-
-
-def _require_whole_stl(path: Path) -> None:
-    """trimesh takes a truncated binary file for text."""
-    with path.open("rb") as handle:
-        head = handle.read(84)
-    text = head.lstrip().startswith(b"solid")
-    if not text and path.stat().st_size != 84 + 50 * int.from_bytes(head[80:], "little"):
-        raise AssetError(f"{path} is truncated, or not an STL file. Download or export it again.")
-
-
-def _ply_textures(path: Path) -> list[str]:
-    names = []
-    with path.open("rb") as handle:
-        for line in handle:
-            words = line.decode("latin-1").split(maxsplit=2)
-            if words[:2] == ["comment", "TextureFile"]:
-                names.append(words[2].strip())
-            if words[:1] == ["end_header"]:
-                break
-    return names

@@ -1,4 +1,4 @@
-"""A piece of an asset as its file stores it, and how pieces become one mesh with one albedo."""
+"""The parts of an asset as its file stores them, and how they become one mesh with one albedo."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class Part:
     uv: np.ndarray | None = None
     colours: np.ndarray | None = None
 
-    def moved(self, matrix: np.ndarray) -> Part:
-        """The part under an affine ``matrix [4,4]``; a mirroring one turns the faces so that they stay outwards."""
+    def transformed(self, matrix: np.ndarray) -> Part:
+        """The part under an affine ``matrix [4,4]``; a mirroring one reverses the faces, so that they stay outwards."""
         vertices = self.vertices @ matrix[:3, :3].T + matrix[:3, 3]
         faces = self.faces[:, ::-1] if np.linalg.det(matrix[:3, :3]) < 0 else self.faces
         return Part(vertices, faces, self.material, self.uv, self.colours)
@@ -39,7 +39,7 @@ def join(parts: list[Part]) -> tuple[np.ndarray, np.ndarray, Albedo]:
     index = {id(material): number for number, material in enumerate(materials)}
     white, origin = np.ones((1, 3), np.float32), np.zeros((1, 2))
 
-    def stack(arrays, fallback):
+    def stack(arrays: list[np.ndarray | None], fallback: np.ndarray) -> np.ndarray:
         return np.concatenate(
             [
                 np.broadcast_to(fallback, (len(part.vertices), fallback.shape[1])) if array is None else array
@@ -59,11 +59,15 @@ def join(parts: list[Part]) -> tuple[np.ndarray, np.ndarray, Albedo]:
     )
 
 
-def pixels(data: bytes, name: str) -> np.ndarray:
-    """A picture file as sRGB-encoded ``uint8 [H,W,3]``; transparency is dropped.
+def decode_image(data: bytes, name: str) -> np.ndarray:
+    """An image file as sRGB-encoded ``uint8 [H,W,3]``; transparency is dropped.
+
+    Args:
+        data: the content of the file.
+        name: of the file, for messages.
 
     Raises:
-        AssetError: the picture cannot be decoded.
+        AssetError: the image cannot be decoded.
     """
     from PIL import Image, UnidentifiedImageError
 

@@ -1,4 +1,4 @@
-"""A shape as Φ on a grid, in one frame and with one sign whatever generator it came from."""
+"""A shape as Φ on a grid, in the same frame and with the same sign whichever generator wrote it."""
 
 from __future__ import annotations
 
@@ -10,31 +10,32 @@ import numpy as np
 
 from genmf_mi.assets.asset import Asset
 from genmf_mi.core.errors import AssetError
+from genmf_mi.mesh.measures import vertex_normals
 
 if TYPE_CHECKING:
     from genmf_mi.sdf.flexicubes import FlexiCubes
 
-LARGEST = 513
+MAX_SAMPLES = 513
 """Samples per axis that are accepted at most; Φ alone takes 0.5 GB then."""
 
 
 @dataclass(frozen=True, eq=False)
 class SdfAsset:
-    """Φ on a grid and how FlexiCubes is to mesh it, y up. The grid is the cube [-1, 1]³ in *grid units*.
+    """Φ on a grid and the parameters with which FlexiCubes meshes it, y up. The grid is [-1, 1]³ in *grid units*.
 
     phi: float32 ``[m,m,m]``, indexed x, y, z, negative inside, positive on the border. About a distance in grid units
-        near the surface; further off only its sign can be relied upon, unless :func:`convert.convert` made it.
-    deformation: float32 ``[m,m,m,3]``, how far the samples are moved, grid units, or None.
-    weights: float32 ``[K,21]``, free weights as :mod:`genmf_mi.sdf.flexicubes` has them, or None.
+        near the surface; farther away only its sign is reliable, unless it is from :func:`from_mesh.sdf_from_mesh`.
+    deformation: float32 ``[m,m,m,3]``, displacement of the samples in grid units, or None.
+    weights: float32 ``[K,21]``, unbounded weights as defined in :mod:`genmf_mi.sdf.flexicubes`, or None.
     rows: int32 ``[n³]``, n = m - 1: which of the K rows a cube has, -1 for none. None if each has its own, K = n³.
     spread: of the weights, see :class:`FlexiCubes`.
-    centre, half: the middle of the grid and half its side, in file units.
+    centre, half: the centre of the grid and half its side, in file units.
     coloured: a surface with the object's colours, in file units, or None if it has none.
-    report: what was done on the way here.
+    report: what was changed on the way from the file.
 
     Raises:
-        AssetError: an array has the wrong size or numbers that are none, samples are moved by more than half a cell, or
-            no surface lies inside of the grid.
+        AssetError: an array has the wrong size or values that are not finite, samples are displaced by more than half a
+            cell, or no surface lies inside of the grid.
     """
 
     name: str
@@ -50,14 +51,14 @@ class SdfAsset:
     report: dict = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        m, where = next(iter(np.shape(self.phi)), 0), self.source or self.name
-        if np.shape(self.phi) != (m, m, m) or not 4 <= m <= LARGEST:
+        m, where = len(self.phi) if np.ndim(self.phi) else 0, self.source or self.name
+        if np.shape(self.phi) != (m, m, m) or not 4 <= m <= MAX_SAMPLES:
             raise AssetError(
-                f"{where}: phi must be a cube of 4 to {LARGEST} samples per axis, not {np.shape(self.phi)}."
+                f"{where}: phi must be a cube of 4 to {MAX_SAMPLES} samples per axis, not {np.shape(self.phi)}."
             )
         count = (m - 1) ** 3
         if self.rows is not None:
-            count = next(iter(np.shape(self.weights)), 0)
+            count = 0 if self.weights is None else len(self.weights)
         for name, shape in (("deformation", (m, m, m, 3)), ("weights", (count, 21)), ("rows", ((m - 1) ** 3,))):
             array = getattr(self, name)
             if array is not None and np.shape(array) != shape:
@@ -65,9 +66,9 @@ class SdfAsset:
         for name in ("phi", "deformation", "weights"):
             array = getattr(self, name)
             if array is not None and not np.isfinite(array).all():
-                raise AssetError(f"{where}: {name} has numbers that are none (NaN or infinite). Generate it again.")
+                raise AssetError(f"{where}: {name} has values that are not finite numbers. Generate it again.")
         if self.rows is not None and not -1 <= self.rows.min() <= self.rows.max() < count:
-            raise AssetError(f"{where}: rows point to weights that are not there.")
+            raise AssetError(f"{where}: rows point to weights that do not exist.")
         if self.deformation is not None and np.abs(self.deformation).max() > (1 + 1e-4) / (m - 1):
             raise AssetError(f"{where}: deformation moves samples by more than half a cell, so that cells would fold.")
         if not (0 < self.spread < 1 and self.half > 0 and np.isfinite([self.half, *self.centre]).all()):
@@ -84,11 +85,11 @@ class SdfAsset:
 
     @property
     def textured(self) -> bool:
-        """Whether there is any colour that relief could show."""
+        """Whether the colour varies, so that there is detail for the relief to show."""
         return self.coloured is not None and self.coloured.textured
 
     def extractor(self, device: str = "cpu") -> FlexiCubes:
-        """Makes surfaces out of ``phi``, ``deformation`` and ``weights`` as tensors."""
+        """Extracts surfaces from ``phi``, ``deformation`` and ``weights`` as tensors."""
         import torch
 
         from genmf_mi.sdf.flexicubes import FlexiCubes
@@ -96,13 +97,12 @@ class SdfAsset:
         return FlexiCubes(self.spread, None if self.rows is None else torch.as_tensor(self.rows, device=device))
 
     def surface(self, training: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices ``float64 [V,3]`` in file units and faces ``int64 [F,3]``, closed and looking outwards."""
+        """Vertices ``float64 [V,3]`` in file units and faces ``int64 [F,3]``, closed and oriented outwards."""
         import torch
 
-        parts = (self.phi, self.deformation, self.weights)
-        tensors = [None if part is None else torch.as_tensor(part) for part in parts]
-        made = self.extractor()(*tensors, training=training)
-        return self.restore(made.vertices.double().numpy()), made.faces.numpy()
+        options = [None if array is None else torch.as_tensor(array) for array in (self.deformation, self.weights)]
+        surface = self.extractor()(torch.as_tensor(self.phi), *options, training=training)
+        return self.restore(surface.vertices.double().numpy()), surface.faces.numpy()
 
     def restore(self, points: np.ndarray) -> np.ndarray:
         """Grid units to file units, ``[N,3]``."""
@@ -121,8 +121,6 @@ class SdfAsset:
 
     def as_mesh(self) -> Asset:
         """The extracted surface with its colours per vertex."""
-        from genmf_mi.mesh.measures import vertex_normals
-
         vertices, faces = self.surface(training=True)
         colours = self.closest_albedo(vertices, vertex_normals(vertices, faces))
         return Asset.from_arrays(self.name, vertices, faces, colours=colours)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from genmf_mi.assets import asset as meshes
@@ -11,32 +12,31 @@ from genmf_mi.assets.generators import files
 from genmf_mi.assets.sdf_asset import SdfAsset
 from genmf_mi.core.errors import AssetError
 
-FIELD = "_sdf"
-"""What is added to the name of a bundled sample to have it as Φ on a grid."""
+SDF_SUFFIX = "_sdf"
+"""Appended to the name of a bundled sample, it names that sample converted to Φ on a grid."""
 
 
 def load(source: str | Path | Asset | SdfAsset, textured: str | Path | Asset | None = None) -> Asset | SdfAsset:
-    """A mesh, or a shape as Φ if ``source`` is a generator's file or a sample's name with ``_sdf`` behind it.
+    """The mesh, or the shape as Φ if ``source`` is a generator's file or a sample's name with ``_sdf`` appended.
 
-    textured: the mesh that has the colours of a generator's file.
+    Args:
+        textured: the mesh with the colours of a generator's file.
 
     Raises:
-        AssetError: as :func:`genmf_mi.assets.asset.load` and :func:`genmf_mi.assets.generators.files.load`; or ``textured`` is given
-            for what has its own colours.
+        AssetError: as :func:`genmf_mi.assets.asset.load` and :func:`genmf_mi.assets.generators.files.load`; or
+            ``textured`` is given for an asset that has its own colours.
     """
     if isinstance(source, SdfAsset | Asset):
-        made = source
+        asset = source
     elif Path(source).suffix.lower() in files.FORMATS:
         return files.load(source, textured)
-    elif str(source) in {name + FIELD for name in samples.NAMES} and not Path(source).exists():
-        from dataclasses import replace
+    elif str(source) in {name + SDF_SUFFIX for name in samples.NAMES} and not Path(source).exists():
+        from genmf_mi.assets.generators import from_mesh
 
-        from genmf_mi.assets.generators.from_mesh import convert
-
-        made = convert(meshes.load(samples.resolve(str(source).removesuffix(FIELD))))
-        made = replace(made, name=str(source))
+        mesh = meshes.load(samples.resolve(str(source).removesuffix(SDF_SUFFIX)))
+        asset = replace(from_mesh.sdf_from_mesh(mesh), name=str(source))
     else:
-        made = meshes.load(samples.resolve(source))
+        asset = meshes.load(samples.resolve(source))
     if textured is not None:
-        raise AssetError(f"{made.name} has its own colours: --textured is for the files of generators.")
-    return made
+        raise AssetError(f"{asset.name} has its own colours: --textured is for the files of generators.")
+    return asset

@@ -59,15 +59,15 @@ def convert(
 
 def _require(path: Path, out: Path, samples: int, textured: Path | None, from_mesh: bool, force: bool) -> None:
     """Refuse what cannot work before anything is computed."""
-    from genmf_mi.assets.sdf_asset import LARGEST
+    from genmf_mi.assets.sdf_asset import MAX_SAMPLES
 
     suffix, possible = out.suffix.lower(), (*SDF, *GRID) if from_mesh else (*SDF, *MESH, *GRID)
     if suffix in MESH and from_mesh:
         raise ConfigError(f"{path.name} is a mesh already; --out takes {', '.join(possible)}.")
     if suffix not in possible:
         raise ConfigError(f"{out} is of an unknown kind ({suffix or 'no suffix'}); --out takes {', '.join(possible)}.")
-    if not COARSEST <= samples <= LARGEST:
-        raise ConfigError(f"--samples must be from {COARSEST} to {LARGEST}, not {samples}.")
+    if not COARSEST <= samples <= MAX_SAMPLES:
+        raise ConfigError(f"--samples must be from {COARSEST} to {MAX_SAMPLES}, not {samples}.")
     if textured and from_mesh:
         raise ConfigError(f"{path.name} is a mesh and has its own colours: --textured goes with an SDF file.")
     if out.is_dir():
@@ -84,10 +84,13 @@ def _convert(
     """Read, convert and write; returns what was done as a line."""
     from genmf_mi.assets import asset as meshes
     from genmf_mi.assets.generators import files
-    from genmf_mi.assets.generators.from_mesh import convert as to_sdf
+    from genmf_mi.assets.generators.from_mesh import sdf_from_mesh
+    from genmf_mi.core.progress import Progress
 
     say("reading")
-    shape = to_sdf(meshes.load(path), samples, say) if from_mesh else files.load(path, textured=textured)
+    progress = Progress()
+    progress.stage = say
+    shape = sdf_from_mesh(meshes.load(path), samples, progress) if from_mesh else files.load(path, textured=textured)
     say("writing")
     if out.suffix.lower() in SDF:
         return f"{files.save(shape, out)}: {_described(shape)}"

@@ -1,7 +1,4 @@
-"""What keeps a field and the surface extracted from it even (GenMF, L_sdf-tv and L_reg).
-
-The second term of L_reg is :func:`genmf_mi.sdf.flexicubes.flexi_weight_reg`.
-"""
+"""Regularisers of a field and of the surface extracted from it (GenMF, L_sdf-tv and L_reg)."""
 
 from __future__ import annotations
 
@@ -29,3 +26,11 @@ def l_dev(distance: Tensor, cell: float) -> Tensor:
     distance: ``[D]``, :attr:`genmf_mi.sdf.flexicubes.Surface.deviation`, in the unit of ``cell``.
     """
     return distance.mean() / cell
+
+
+def flexi_weight_reg(weights: Tensor) -> Tensor:
+    """The second term of L_reg: the mean square of FlexiCubes' unbounded weights, as InstantMesh has it.
+
+    weights: ``[S,21]``, :attr:`genmf_mi.sdf.flexicubes.Surface.weights`.
+    """
+    return weights.square().mean()

@@ -1,14 +1,15 @@
-"""FlexiCubes: a closed mesh out of Φ on a grid, differentiable in all that it depends on.
+"""FlexiCubes: a closed mesh from Φ on a grid, differentiable in all of its inputs.
 
 Shen et al., *Flexible Isosurface Extraction for Gradient-Based Mesh Optimization* (SIGGRAPH 2023): dual marching cubes
 whose vertices can move inside their cubes by weights, on a grid that can be deformed. With n cubes per axis:
 
 * ``phi [m,m,m]``, m = n + 1, indexed x, y, z, negative inside; the grid spans [-1, 1]³ as in
   :mod:`genmf_mi.sdf.distance`.
-* ``deformation [m,m,m,3]``: how far the samples are moved, normalised units; see :func:`bounded_deformation`.
+* ``deformation [m,m,m,3]``: displacement of the samples, normalised units; within half a cell (1 / n), so that no cell
+  folds.
 * ``weights [n³,21]``: per cube, x, y, z in the order of ``phi``, and in a row as generators store them: β of the 12
-  edges, α of the 8 corners, γ. They are free numbers; :func:`bounded_weights` maps them to their ranges, and zeros
-  leave no preference.
+  edges, α of the 8 corners, γ. They are unbounded; :func:`bounded_weights` maps them to their ranges, and zeros are
+  neutral.
 
 Where Φ is negative on the border of the grid, the mesh is open there. Everywhere else it is closed, every edge has two
 faces and every vertex one fan of them, whatever the field (see :mod:`genmf_mi.sdf.cube_cases`).
@@ -24,8 +25,9 @@ from torch import Tensor
 from genmf_mi.sdf.dual_topology import Topology, topology
 
 BETA, ALPHA, GAMMA = slice(0, 12), slice(12, 20), slice(20, 21)
-"""Where in the 21 weights of a cube each kind is."""
+"""The columns of each kind among the 21 weights of a cube."""
 WEIGHTS = 21
+"""Weights per cube."""
 
 
 class Weights(NamedTuple):
@@ -39,9 +41,10 @@ class Weights(NamedTuple):
 class Surface(NamedTuple):
     """An extracted surface.
 
-    vertices: ``[V,3]``, normalised units; the first D are the dual vertices. faces: ``[F,3]``, looking outwards.
+    vertices: ``[V,3]``, normalised units; the first D are the dual vertices.
+    faces: ``[F,3]``, oriented outwards.
     deviation: ``[D]``, normalised units; its mean is L_dev, the first term of L_reg.
-    weights: the free weights ``[S,21]`` of the cubes that meet the surface.
+    weights: ``[S,21]``, the unbounded weights of the cubes that intersect the surface.
     """
 
     vertices: Tensor
@@ -51,11 +54,11 @@ class Surface(NamedTuple):
 
 
 class FlexiCubes:
-    """Extracts surfaces; what depends on the signs alone is kept from one call to the next.
+    """Extracts surfaces; the topology, which depends on the signs alone, is kept between calls.
 
-    spread: how far α and β can go from one, below 1; InstantMesh has 0.5, TRELLIS 0.99.
-    rows: ``[n³]``, which row of the weights a cube has, -1 for none: few cubes ever meet the surface, and 21 weights
-        for all of 256³ are 1.4 GB. None if every cube has its own.
+    spread: how far α and β can deviate from one, below 1; InstantMesh has 0.5, TRELLIS 0.99.
+    rows: ``[n³]``, which row of the weights a cube has, -1 for none: few cubes ever intersect the surface, and 21
+        weights for all of 256³ are 1.4 GB. None if every cube has its own.
     """
 
     def __init__(self, spread: float = 0.99, rows: Tensor | None = None) -> None:
@@ -68,6 +71,9 @@ class FlexiCubes:
         """The surface Φ = 0.
 
         Args:
+            phi: ``[m,m,m]``.
+            deformation: ``[m,m,m,3]`` or None.
+            weights: ``[n³,21]``, or ``[K,21]`` with ``rows``, or None.
             training: split each quad into four triangles about a point weighted by γ, which is differentiable in γ;
                 otherwise into two along the diagonal with the larger product of γ.
         """
@@ -75,14 +81,14 @@ class FlexiCubes:
         if self.topology is None or not torch.equal(inside, self.topology.inside):
             self.topology = topology(inside)
         shape = self.topology
-        free = self._of_cubes(shape.cubes, weights) if weights is not None else phi.new_zeros(len(shape.cubes), WEIGHTS)
-        chosen = bounded_weights(free, self.spread)
-        vertices, deviation = dual_vertices(shape, phi, deformation, chosen)
-        vertices, faces = triangles(shape, vertices, chosen.gamma, training=training)
-        return Surface(vertices, faces, deviation, free)
+        raw = self._select(shape.cubes, weights) if weights is not None else phi.new_zeros(len(shape.cubes), WEIGHTS)
+        bounded = bounded_weights(raw, self.spread)
+        vertices, deviation = dual_vertices(shape, phi, deformation, bounded)
+        vertices, faces = triangles(shape, vertices, bounded.gamma, training=training)
+        return Surface(vertices, faces, deviation, raw)
 
-    def _of_cubes(self, cubes: Tensor, weights: Tensor) -> Tensor:
-        """``[S,21]``, zeros for cubes that have none."""
+    def _select(self, cubes: Tensor, weights: Tensor) -> Tensor:
+        """The weights ``[S,21]`` of the ``cubes [S]``, zeros for cubes that have none."""
         if self.rows is None:
             return weights.index_select(0, cubes)
         row = self.rows[cubes].long()
@@ -95,28 +101,8 @@ def bounded_weights(raw: Tensor, spread: float = 0.99) -> Weights:
     return Weights(alpha, beta, spread * torch.sigmoid(raw[:, GAMMA].squeeze(1)) + (1 - spread) / 2)
 
 
-def bounded_deformation(raw: Tensor, limit: float) -> Tensor:
-    """Displacements within ± ``limit``, half a cell (1 / n) at most, by tanh."""
-    return limit * torch.tanh(raw)
-
-
-def flexi_weight_reg(raw: Tensor) -> Tensor:
-    """The mean square of free weights, the second term of L_reg (as InstantMesh has it)."""
-    return raw.square().mean()
-
-
-def sign_entropy(shape: Topology, phi: Tensor) -> Tensor:
-    """L_sign: the cross-entropy of the signs at the two ends of the crossed edges, the third term of L_reg; it takes
-    away what no image sees (Munkberg et al., *Extracting Triangular 3D Models, Materials, and Lighting*, 2022)."""
-    from torch.nn.functional import binary_cross_entropy_with_logits as entropy
-
-    ends = phi.reshape(-1)[shape.ends]
-    other = (ends.detach() >= 0).to(ends).flip(1)
-    return entropy(ends, other) * 2
-
-
 def dual_vertices(shape: Topology, phi: Tensor, deformation: Tensor | None, weights: Weights) -> tuple[Tensor, Tensor]:
-    """The vertices ``[D,3]`` and the mean absolute deviation ``[D]`` of their distances to the crossings around them.
+    """The vertices ``[D,3]`` and the mean absolute deviation ``[D]`` of their distances to the adjacent crossings.
 
     A crossing u_e is where Φ, with α as a factor at the two ends, is zero on an edge; a vertex is Σ β u_e / Σ β over
     the crossings of its patch.
@@ -136,24 +122,24 @@ def dual_vertices(shape: Topology, phi: Tensor, deformation: Tensor | None, weig
 
     vertex = shape.vertex.reshape(-1)
 
-    def summed(x: Tensor) -> Tensor:
+    def per_vertex(x: Tensor) -> Tensor:
         return x.new_zeros(count + 1, *x.shape[1:]).index_add(0, vertex, x)
 
-    def spread(x: Tensor) -> Tensor:
+    def per_crossing(x: Tensor) -> Tensor:
         return x.index_select(0, vertex)
 
-    # The row beside the last takes what belongs to no vertex; ones keep it from 0 / 0.
-    nobody = torch.zeros(count + 1, dtype=phi.dtype, device=phi.device)
-    nobody[count] = 1
-    vertices = summed(beta[:, None] * crossing) / (summed(beta) + nobody)[:, None]
-    number = summed(torch.ones_like(beta)) + nobody
-    distance = (crossing - spread(vertices)).norm(dim=1)
-    deviation = summed((distance - spread(summed(distance) / number)).abs()) / number
+    # The last row collects what belongs to no vertex; a one avoids 0 / 0 there
+    no_vertex = torch.zeros(count + 1, dtype=phi.dtype, device=phi.device)
+    no_vertex[count] = 1
+    vertices = per_vertex(beta[:, None] * crossing) / (per_vertex(beta) + no_vertex)[:, None]
+    number = per_vertex(torch.ones_like(beta)) + no_vertex
+    distance = (crossing - per_crossing(vertices)).norm(dim=1)
+    deviation = per_vertex((distance - per_crossing(per_vertex(distance) / number)).abs()) / number
     return vertices[:count], deviation[:count]
 
 
 def triangles(shape: Topology, vertices: Tensor, gamma: Tensor, *, training: bool) -> tuple[Tensor, Tensor]:
-    """Vertices ``[V,3]``, the dual ones first, and faces ``[F,3]``; ``gamma [S]`` decides how a quad is split."""
+    """Vertices ``[V,3]``, the dual ones first, and faces ``[F,3]``; ``gamma [S]`` determines how a quad is split."""
     quads, weight = shape.quads, gamma[shape.owner]
     weight = weight.index_select(0, quads.reshape(-1)).reshape(-1, 4)
     first, second = weight[:, 0] * weight[:, 2], weight[:, 1] * weight[:, 3]

@@ -1,14 +1,33 @@
-"""What has to be done to a generator's grid before it is an :class:`SdfAsset`: sign, border, cavities, axes, scale."""
+"""Operations on a field on a grid: sign, border, cavities, small components, axes, scale.
+
+They turn a generator's grid into an :class:`genmf_mi.assets.sdf_asset.SdfAsset`.
+"""
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
+from scipy import ndimage
 
 from genmf_mi.core.errors import AssetError
-from genmf_mi.sdf.cube_cases import EDGES
+from genmf_mi.sdf.cube_cases import EDGES, edge_between
 
-UNCLEAR = 0.1
-"""Share of the border that may be inside: the object is cut off there. With more the outside is not to be told."""
+AMBIGUOUS_SHARE = 0.1
+"""Share of the border that may be inside: the object is cut off there. With more, the outside cannot be determined."""
+
+SMALL_COMPONENT_SHARE = 0.01
+"""A separate component with a smaller share of the samples inside is removed."""
+
+
+def flat_index(index: np.ndarray, size: int) -> np.ndarray:
+    """Indices ``[M]`` into the flattened grid ``[size,size,size]`` of the samples or cubes ``index [M,3]``."""
+    return np.asarray(np.ravel_multi_index(tuple(index.T), (size, size, size)))
+
+
+def regions(mask: np.ndarray) -> tuple[np.ndarray, int]:
+    """The connected regions of a mask, by neighbours along the axes: numbers from 1, 0 outside; and how many."""
+    return cast(tuple[np.ndarray, int], ndimage.label(mask))
 
 
 def border(shape: tuple[int, ...]) -> np.ndarray:
@@ -19,17 +38,17 @@ def border(shape: tuple[int, ...]) -> np.ndarray:
 
 
 def outside_positive(field: np.ndarray, where: str) -> np.ndarray:
-    """``field [m,m,m]`` or its negative, whichever is positive on the border, since nothing reaches out of the grid.
+    """``field [m,m,m]`` or its negative, whichever is positive on the border, since no object extends beyond the grid.
 
     Raises:
-        AssetError: numbers that are none, one sign everywhere, or a border of both signs.
+        AssetError: values that are not finite, one sign everywhere, or a border of both signs.
     """
     if not np.isfinite(field).all():
-        raise AssetError(f"{where}: sdf has numbers that are none (NaN or infinite). Generate it again.")
+        raise AssetError(f"{where}: sdf has values that are not finite numbers. Generate it again.")
     if not (field < 0).any() or not (field > 0).any():
         raise AssetError(f"{where}: the level set is empty, sdf has one sign everywhere. Generate it again.")
     negative = float((field[border(field.shape)] < 0).mean())
-    if UNCLEAR < negative < 1 - UNCLEAR:
+    if AMBIGUOUS_SHARE < negative < 1 - AMBIGUOUS_SHARE:
         raise AssetError(
             f"{where}: sdf is negative on {negative:.0%} of the border of its grid, so neither side is the outside. "
             "Is the order of the samples x, y, z?"
@@ -38,37 +57,29 @@ def outside_positive(field: np.ndarray, where: str) -> np.ndarray:
 
 
 def sealed(phi: np.ndarray) -> tuple[np.ndarray, dict[str, int]]:
-    """``phi`` with what is inside of it filled and what reaches the border cut off there; and how many samples.
+    """``phi`` with enclosed cavities filled and what reaches the border cut off there; and how many samples.
 
-    Outside is what can be reached from the border. A generator whose sparse grid knows the neighbourhood of the surface
-    only leaves the depth of a body empty; printed, it is solid.
+    Outside is what is connected to the border. A generator whose sparse grid covers the neighbourhood of the surface
+    only leaves the interior of an object empty; printed, it is solid.
     """
-    from scipy.ndimage import label
-
     edge = border(phi.shape)
     cut = edge & (phi < 0)
     phi = np.where(cut, -phi, phi)
-    regions, _ = label(phi >= 0)
-    cavity = (phi >= 0) & ~np.isin(regions, np.unique(regions[edge]))
+    outside, _ = regions(phi >= 0)
+    cavity = (phi >= 0) & ~np.isin(outside, np.unique(outside[edge]))
     least = np.abs(phi[phi != 0]).min(initial=1.0)
     phi = np.where(cavity, -np.maximum(phi, least), phi)
     return phi, {"samples_cut_off": int(cut.sum()), "samples_filled": int(cavity.sum())}
 
 
-SPECK = 0.01
-"""A separate body of a smaller share of the samples inside is left out."""
-
-
-def without_specks(phi: np.ndarray, share: float = SPECK) -> tuple[np.ndarray, int]:
-    """``phi`` with separate bodies below ``share`` emptied and cavities filled; and how many bodies and cavities."""
-    from scipy.ndimage import label
-
-    inside, count = label(phi < 0)
+def without_small_components(phi: np.ndarray, share: float = SMALL_COMPONENT_SHARE) -> tuple[np.ndarray, int]:
+    """``phi`` with components below ``share`` removed and cavities filled; and how many of both."""
+    inside, count = regions(phi < 0)
     sizes = np.bincount(inside.reshape(-1), minlength=count + 1)
     sizes[0] = sizes.sum()
     small = sizes < share * (phi < 0).sum()
     phi = np.where(small[inside], -phi, phi)
-    outside, cavities = label(phi >= 0)
+    outside, cavities = regions(phi >= 0)
     cavity = (outside > 0) & (outside != outside[0, 0, 0])
     least = np.abs(phi[phi != 0]).min(initial=1.0)
     phi = np.where(cavity, -np.maximum(phi, least), phi)
@@ -82,15 +93,15 @@ def scaled(phi: np.ndarray) -> np.ndarray:
     """
     inside = phi < 0
     neighbours = [np.roll(inside, step, axis) for axis in range(3) for step in (-1, 1)]
-    at = np.argwhere(inside & ~np.logical_and.reduce(neighbours))
-    here, steps = phi[tuple(at.T)], np.eye(3, dtype=int)
-    rise = [[phi[tuple((at + sign * step).T)] - here for sign in (-1, 1)] for step in steps]
+    index = np.argwhere(inside & ~np.logical_and.reduce(neighbours))
+    centre, steps = phi[tuple(index.T)], np.eye(3, dtype=int)
+    rise = [[phi[tuple((index + sign * step).T)] - centre for sign in (-1, 1)] for step in steps]
     cell = 2 / (len(phi) - 1)
-    # The steeper side of each axis: about a wall of one sample a central difference vanishes
+    # The steeper side of each axis: at a wall of one sample a central difference vanishes
     return (phi / np.median(np.linalg.norm(np.abs(rise).max(axis=1), axis=0) / cell)).astype(np.float32)
 
 
-def turned(
+def rotated(
     rotation: np.ndarray,
     phi: np.ndarray,
     deformation: np.ndarray | None,
@@ -99,13 +110,20 @@ def turned(
 ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None, np.ndarray | None]:
     """A grid in a frame whose axes are ± those of the old one: new position = ``rotation [3,3]`` @ old position.
 
-    α and β keep to their corners and edges: their columns change places as these do.
+    The columns of α and β are permuted as the corners and edges of the cubes are.
+
+    Args:
+        rotation: a signed permutation matrix.
+        phi: ``[m,m,m]``.
+        deformation: ``[m,m,m,3]`` or None.
+        weights: ``[n³,21]``, or ``[K,21]`` with ``rows``, or None.
+        rows: ``[n³]`` or None.
     """
     axes = np.abs(rotation).argmax(axis=1)  # of the old frame, for each of the new
     signs = rotation[np.arange(3), axes]
-    mirrored = tuple(np.flatnonzero(signs < 0))
+    mirrored = tuple(np.flatnonzero(signs < 0).tolist())
 
-    def moved(array: np.ndarray) -> np.ndarray:
+    def transformed(array: np.ndarray) -> np.ndarray:
         return np.ascontiguousarray(np.flip(array.transpose(*axes, *range(3, array.ndim)), mirrored))
 
     def old_corner(new: int) -> int:
@@ -114,13 +132,13 @@ def turned(
 
     n = len(phi) - 1
     if deformation is not None:
-        deformation = moved(deformation)[..., axes] * signs.astype(np.float32)
+        deformation = transformed(deformation)[..., axes] * signs.astype(np.float32)
     if weights is not None:
-        edges = [EDGES.index(tuple(sorted((old_corner(a), old_corner(b))))) for a, b in EDGES]
+        edges = [edge_between(old_corner(a), old_corner(b)) for a, b in EDGES]
         columns = [*edges, *(12 + old_corner(corner) for corner in range(8)), 20]
         weights = weights[:, columns]
         if rows is None:
-            weights = moved(weights.reshape(n, n, n, 21)).reshape(-1, 21)
+            weights = transformed(weights.reshape(n, n, n, 21)).reshape(-1, 21)
         else:
-            rows = moved(rows.reshape(n, n, n)).reshape(-1)
-    return moved(phi), deformation, weights, rows
+            rows = transformed(rows.reshape(n, n, n)).reshape(-1)
+    return transformed(phi), deformation, weights, rows

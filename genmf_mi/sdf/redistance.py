@@ -1,42 +1,42 @@
-"""A signed distance made exact again from its values near the surface."""
+"""Redistancing: a signed distance recomputed from its values near the surface."""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import KDTree
 
-from genmf_mi.sdf.distance import BAND
+from genmf_mi.sdf.distance import NARROW_BAND_CELLS
 
 REACH_CELLS = 4.0
-"""How many cells outside of the body a distance is of interest: what the air is like does not load a part."""
+"""How many cells outside of the solid the distance matters: the air does not load a part."""
 
 
 def redistance(phi: np.ndarray) -> np.ndarray:
-    """Φ as it was before it was stored: away from the surface it is kept in steps of half a cell only.
+    """Φ as it was before it was stored; away from the surface the stored values are rounded to half a cell.
 
-    Every sample near the surface knows a surface point, x − Φ ∇Φ. The distance to the nearest of these replaces what
-    is stored, inside and as far outside as the network looks. It differs from the true distance by a few hundredths of
-    a cell, so that a network trained on it can be given a true distance.
+    Every sample near the surface determines a surface point, x − Φ ∇Φ. The distance to the nearest of these replaces
+    the stored value, inside and as far outside as the network looks. It differs from the true distance by a few
+    hundredths of a cell, so that a network trained on it can be given a true distance.
 
     Args:
-        phi: ``[n,n,n]`` from :func:`codec.unpack_distance`.
+        phi: ``[n,n,n]`` on the grid [-1, 1]³, exact within two cells of the surface.
 
     Returns:
         float32 ``[n,n,n]``.
     """
-    from scipy.spatial import cKDTree
-
     n = phi.shape[0]
     cell = 2.0 / (n - 1)
     phi = phi.astype(np.float64)
-    band = np.abs(phi) < BAND * cell
+    band = np.abs(phi) < NARROW_BAND_CELLS * cell
     gradient = np.stack([g[band] for g in np.gradient(phi, cell)], axis=1)
     length = np.linalg.norm(gradient, axis=1)
-    # Between two surfaces at one distance the differences say nothing; the samples about tell of both.
-    sure = length > 0.95
-    points = np.argwhere(band)[sure] * cell - 1.0 - (phi[band] / np.maximum(length, 1e-9))[sure, None] * gradient[sure]
+    # Halfway between two surfaces the gradient is meaningless; the samples around determine points of both
+    reliable = length > 0.95
+    offset = (phi[band] / np.maximum(length, 1e-9))[:, None] * gradient
+    points = (np.argwhere(band) * cell - 1.0 - offset)[reliable]
     far = ~band & (phi < (REACH_CELLS + 1) * cell)
     if len(points) and far.any():
-        tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
+        tree = KDTree(points, balanced_tree=False, compact_nodes=False)
         magnitude, _ = tree.query(np.argwhere(far) * cell - 1.0)
         phi[far] = np.copysign(magnitude, phi[far])
     return phi.astype(np.float32)

@@ -1,4 +1,4 @@
-"""The samples and cubes of a grid that a surface can come to while it moves by no more than a cap."""
+"""The samples and cubes of a grid that a surface can reach while it is displaced by no more than a cap."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 from scipy import ndimage
 
 from genmf_mi.mesh.nearest import Nearest, barycentric
+from genmf_mi.sdf.grid import flat_index
 
 _CUBE = 0.87
 """Half the diagonal of a cube, in cells."""
@@ -15,12 +16,14 @@ _CUBE = 0.87
 
 @dataclass(frozen=True)
 class Shell:
-    """A layer about a surface, and what of the surface is closest to it.
+    """A layer about a surface, and the points of the surface closest to it.
 
-    samples: ``[N]`` and cubes: ``[K]``, ascending indices into the flattened grids of m³ and n³. edges: ``[E,2]``, rows
-    of samples that are neighbours along an axis. places: ``[N,3]`` and centres: ``[K,3]``, where they are.
-    distance: ``[N]``, to the surface. face, weights: ``[N]``, ``[N,3]``, the closest point of each sample in
-    barycentric coordinates; cube_face, cube_weights: likewise of each centre.
+    samples: ``[N]`` and cubes: ``[K]``, ascending indices into the flattened grids of m³ and n³.
+    edges: ``[E,2]``, rows of samples that are neighbours along an axis.
+    places: ``[N,3]`` and centres: ``[K,3]``, the positions of the samples and of the centres of the cubes.
+    distance: ``[N]``, to the surface.
+    face, weights: ``[N]``, ``[N,3]``, the closest point of each sample in barycentric coordinates.
+    cube_face, cube_weights: ``[K]``, ``[K,3]``, likewise of each centre.
     """
 
     samples: np.ndarray
@@ -38,10 +41,14 @@ class Shell:
 def shell(
     inside: np.ndarray, deformation: np.ndarray | None, vertices: np.ndarray, faces: np.ndarray, cap: float
 ) -> Shell:
-    """All within ``cap`` and a cell of the surface, except for the border of the grid.
+    """All samples and cubes within ``cap`` plus a cell of the surface, except for the border of the grid.
 
-    inside: ``[m,m,m]``, the signs that the surface was extracted with. deformation: ``[m,m,m,3]`` or None.
-    vertices ``[V,3]``, faces ``[F,3]``: the surface; as ``cap``, in the units of the grid [-1, 1]³.
+    Args:
+        inside: bool ``[m,m,m]``, the signs that the surface was extracted with.
+        deformation: ``[m,m,m,3]``, displacement of the samples, or None.
+        vertices: ``[V,3]`` of the surface, in the units of the grid [-1, 1]³.
+        faces: ``[F,3]``.
+        cap: the largest displacement, in the same units.
     """
     m = len(inside)
     n, cell = m - 1, 2 / (m - 1)
@@ -60,8 +67,9 @@ def shell(
         places = places + deformation[tuple(index.T)]
     face, closest, distance = tree.find(places)
     keep = distance <= cap + cell
-    index, places, face, closest, distance = (x[keep] for x in (index, places, face, closest, distance))
-    samples = np.ravel_multi_index(tuple(index.T), inside.shape)
+    index, places, distance = index[keep], places[keep], distance[keep]
+    face, closest = face[keep], closest[keep]
+    samples = flat_index(index, m)
 
     row = np.full(m**3, -1)
     row[samples] = np.arange(len(samples))
@@ -72,10 +80,11 @@ def shell(
     centres = (corner + 0.5) * cell - 1.0
     cube_face, cube_closest, away = tree.find(centres)
     keep = away <= cap + _CUBE * cell
-    corner, centres, cube_face, cube_closest = (x[keep] for x in (corner, centres, cube_face, cube_closest))
+    corner, centres = corner[keep], centres[keep]
+    cube_face, cube_closest = cube_face[keep], cube_closest[keep]
     return Shell(
         samples=samples,
-        cubes=np.ravel_multi_index(tuple(corner.T), (n, n, n)),
+        cubes=flat_index(corner, n),
         edges=edges[edges[:, 1] >= 0],
         places=places,
         centres=centres,

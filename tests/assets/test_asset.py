@@ -66,11 +66,11 @@ def test_stl_is_z_up_unless_told_otherwise(tmp_path):
 
 
 def test_sixteen_bit_and_palette_pictures(tmp_path):
-    from genmf_mi.assets.part import pixels
+    from genmf_mi.assets.part import decode_image
 
     def stored(image) -> np.ndarray:
         image.save(tmp_path / "a.png")
-        return pixels((tmp_path / "a.png").read_bytes(), "a.png")
+        return decode_image((tmp_path / "a.png").read_bytes(), "a.png")
 
     deep = Image.fromarray(np.array([[0, 257 * 128, 65535]], dtype=np.uint16))
     np.testing.assert_array_equal(stored(deep)[0, :, 0], [0, 128, 255])
@@ -81,7 +81,7 @@ def test_sixteen_bit_and_palette_pictures(tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("gone.glb", None, "is not there"),
+        ("gone.glb", None, "does not exist"),
         ("empty.glb", b"", "is empty"),
         ("model.fbx", b"Kaydara FBX Binary", r"unknown kind \(\.fbx\)"),
         ("model", b"solid", r"unknown kind \(no suffix\)"),

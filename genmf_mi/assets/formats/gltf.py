@@ -2,7 +2,7 @@
 
 General mesh readers drop what changes the colour without changing the shape: sampler wrap modes, KHR_texture_transform,
 the second UV set, the product of texture and COLOR_0, sparse and quantised accessors. Here every one of them is
-honoured, and what is not understood is refused by name. Section numbers below are those of the Khronos glTF 2.0
+honoured, and what is not supported is refused by name. Section numbers below are those of the Khronos glTF 2.0
 specification.
 """
 
@@ -14,11 +14,11 @@ import numpy as np
 
 from genmf_mi.assets.albedo import CLAMP, MIRROR, REPEAT, Material, Texture
 from genmf_mi.assets.formats.gltf_data import GltfData
-from genmf_mi.assets.part import Part, pixels
+from genmf_mi.assets.part import Part, decode_image
 from genmf_mi.core.errors import AssetError
 
 _WRAP = {10497: REPEAT, 33071: CLAMP, 33648: MIRROR}
-_UNDERSTOOD = {
+_SUPPORTED = {
     "EXT_texture_webp",
     "KHR_draco_mesh_compression",
     "KHR_mesh_quantization",
@@ -31,7 +31,7 @@ def read(path: Path) -> list[Part]:
     """All triangles of the default scene, in the file's own units.
 
     Raises:
-        AssetError: the file is truncated, not glTF 2.0, or needs something that is not understood.
+        AssetError: the file is truncated, not glTF 2.0, or needs an extension that is not supported.
     """
     return _Reader(path).parts()
 
@@ -43,7 +43,7 @@ class _Reader:
         unknown = [
             name
             for name in self.tree.get("extensionsRequired", [])
-            if name not in _UNDERSTOOD and not name.startswith(_HARMLESS)
+            if name not in _SUPPORTED and not name.startswith(_HARMLESS)
         ]
         if unknown:
             raise AssetError(
@@ -51,7 +51,7 @@ class _Reader:
                 "Export it again without compression or special textures."
             )
         self.materials: dict[int | None, tuple[Material, int]] = {}
-        self.pictures: dict[int, np.ndarray] = {}
+        self.images: dict[int, np.ndarray] = {}
 
     def parts(self) -> list[Part]:
         nodes = self.tree.get("nodes", [])
@@ -69,7 +69,7 @@ class _Reader:
                 raise AssetError(f"{self.path}: node {index} has two parents. Export the file again.")
             world[index] = above @ _matrix(nodes[index])
             pending += [(child, world[index]) for child in nodes[index].get("children", [])]
-        found = []
+        parts = []
         for index in sorted(world):
             node = nodes[index]
             if "mesh" not in node:
@@ -81,10 +81,10 @@ class _Reader:
                     continue  # points and lines have no surface
                 part = self.primitive(primitive, weights)
                 if "skin" in node and "JOINTS_0" in primitive["attributes"]:
-                    found.append(self.posed(part, primitive["attributes"], self.tree["skins"][node["skin"]], world))
+                    parts.append(self.posed(part, primitive["attributes"], self.tree["skins"][node["skin"]], world))
                 else:
-                    found.append(part.moved(world[index]))
-        return found
+                    parts.append(part.transformed(world[index]))
+        return parts
 
     def primitive(self, primitive: dict, weights: list[float]) -> Part:
         attributes = primitive["attributes"]
@@ -135,33 +135,30 @@ class _Reader:
 
     def _material(self, material: dict) -> tuple[Material, int]:
         surface = material.get("pbrMetallicRoughness", {})
-        factor, picture = surface.get("baseColorFactor", [1, 1, 1, 1]), surface.get("baseColorTexture")
+        factor, image = surface.get("baseColorFactor", [1, 1, 1, 1]), surface.get("baseColorTexture")
         glossy = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness")
         if glossy is not None:
-            factor, picture = glossy.get("diffuseFactor", [1, 1, 1, 1]), glossy.get("diffuseTexture")
-        factor = tuple(float(part) for part in factor[:3])
-        if picture is None:
-            return Material(factor), 0
-        transform = picture.get("extensions", {}).get("KHR_texture_transform", {})
-        texture = self.tree["textures"][picture["index"]]
-        source = texture.get("extensions", {}).get("EXT_texture_webp", texture).get("source", texture.get("source"))
+            factor, image = glossy.get("diffuseFactor", [1, 1, 1, 1]), glossy.get("diffuseTexture")
+        red, green, blue = map(float, factor[:3])
+        if image is None:
+            return Material((red, green, blue)), 0
+        transform = image.get("extensions", {}).get("KHR_texture_transform", {})
+        entry = self.tree["textures"][image["index"]]
+        source = entry.get("extensions", {}).get("EXT_texture_webp", entry).get("source", entry.get("source"))
         if source is None:
             raise AssetError(f"{self.path} has a texture of a kind that is not supported. Export it with PNG or JPEG.")
-        sampler = self.tree["samplers"][texture["sampler"]] if "sampler" in texture else {}
-        wrap = tuple(_WRAP[sampler.get(key, 10497)] for key in ("wrapS", "wrapT"))
-        return (
-            Material(
-                factor, Texture(self.picture(source), wrap, sampler.get("magFilter") == 9728, _uv_transform(transform))
-            ),
-            transform.get("texCoord", picture.get("texCoord", 0)),
-        )
+        sampler = self.tree["samplers"][entry["sampler"]] if "sampler" in entry else {}
+        along_u, along_v = (_WRAP[sampler.get(key, 10497)] for key in ("wrapS", "wrapT"))
+        nearest = sampler.get("magFilter") == 9728
+        texture = Texture(self.image(source), (along_u, along_v), nearest, _uv_transform(transform))
+        return Material((red, green, blue), texture), transform.get("texCoord", image.get("texCoord", 0))
 
-    def picture(self, index: int) -> np.ndarray:
-        if index not in self.pictures:
+    def image(self, index: int) -> np.ndarray:
+        if index not in self.images:
             image = self.tree["images"][index]
             data = self.data.view(image["bufferView"]) if "bufferView" in image else self.data.resource(image["uri"])
-            self.pictures[index] = pixels(bytes(data), image.get("name") or f"number {index} in {self.path}")
-        return self.pictures[index]
+            self.images[index] = decode_image(bytes(data), image.get("name") or f"number {index} in {self.path}")
+        return self.images[index]
 
 
 def _matrix(node: dict) -> np.ndarray:
@@ -183,7 +180,7 @@ def _matrix(node: dict) -> np.ndarray:
 def _uv_transform(extension: dict) -> np.ndarray:
     """KHR_texture_transform as ``[2,3]``: translation · rotation · scale.
 
-    Counter-clockwise as seen in a picture whose v points down. The matrix printed in the extension's text turns the
+    Counter-clockwise as seen in an image whose v points down. The matrix printed in the extension's text turns the
     other way; viewers and the conformance model do as this does.
     """
     angle = extension.get("rotation", 0.0)

@@ -1,10 +1,11 @@
-"""What lies in the buffers of a glTF file: bytes, arrays, and the JSON tree that describes them."""
+"""The data of a glTF file: its JSON tree, and the bytes and arrays in its buffers."""
 
 from __future__ import annotations
 
 import base64
 import json
 import struct
+from importlib import import_module
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -20,7 +21,7 @@ class GltfData:
     """The JSON tree of a ``.glb`` or ``.gltf`` file, and access to its buffers.
 
     Raises:
-        AssetError: the file is truncated, not glTF 2.0, or lacks a file that it refers to.
+        AssetError: the file is truncated, not glTF 2.0, or refers to a file that is missing.
     """
 
     def __init__(self, path: Path) -> None:
@@ -55,7 +56,7 @@ class GltfData:
     def draco(self, primitive: dict) -> dict[int, np.ndarray]:
         """The compressed accessors of a primitive, by accessor index."""
         try:
-            import DracoPy
+            DracoPy = import_module("DracoPy")  # an optional dependency
         except ImportError:
             raise AssetError(
                 f"{self.path} is Draco-compressed. Run `pip install DracoPy`, or export it without compression."
@@ -72,6 +73,7 @@ class GltfData:
         return decoded
 
     def view(self, index: int) -> memoryview:
+        """The bytes of a buffer view (3.6.1)."""
         view = self.tree["bufferViews"][index]
         start = view.get("byteOffset", 0)
         data = memoryview(self.buffer(view["buffer"]))[start : start + view["byteLength"]]
@@ -80,12 +82,14 @@ class GltfData:
         return data
 
     def buffer(self, index: int) -> bytes:
+        """The bytes of a buffer, which is read once."""
         if index not in self._buffers:
             uri = self.tree["buffers"][index].get("uri")
             self._buffers[index] = self._binary if uri is None else self.resource(uri)
         return self._buffers[index]
 
     def resource(self, uri: str) -> bytes:
+        """The bytes behind a data URI or the name of a file beside the asset (2.8)."""
         if uri.startswith("data:"):
             return base64.b64decode(uri.partition(",")[2])
         path = self.path.parent / unquote(uri)
@@ -103,7 +107,7 @@ def _container(path: Path) -> tuple[dict, bytes]:
     data, binary = path.read_bytes(), b""
     if data[:4] == b"glTF":
         if len(data) < 20 or len(data) < struct.unpack_from("<I", data, 8)[0]:
-            raise AssetError(f"{path} is truncated: {len(data)} bytes are there. Download or export it again.")
+            raise AssetError(f"{path} is truncated at {len(data)} bytes. Download or export it again.")
         version, _, size = struct.unpack_from("<III", data, 4)
         text, offset = data[20 : 20 + size], 20 + size
         while offset + 8 <= len(data):

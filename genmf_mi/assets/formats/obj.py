@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from genmf_mi.assets.albedo import CLAMP, REPEAT, Material, Texture
-from genmf_mi.assets.part import Part, pixels
+from genmf_mi.assets.part import Part, decode_image
 from genmf_mi.core import colour
 from genmf_mi.core.errors import AssetError
 
@@ -27,8 +27,8 @@ _ARGUMENTS = {
 def read(path: Path) -> list[Part]:
     """All faces of an OBJ file, one part per material; polygons become fans.
 
-    Colours (``Kd``, ``map_Kd``, coloured vertices) are taken as sRGB-encoded. A texture decides over coloured vertices,
-    and those over ``Kd``: exporters write left-overs there.
+    Colours (``Kd``, ``map_Kd``, vertex colours) are taken as sRGB-encoded. A texture takes precedence over vertex
+    colours, and those over ``Kd``, in which exporters leave values without meaning.
 
     Raises:
         AssetError: a material library or a texture is missing.
@@ -65,22 +65,22 @@ def read(path: Path) -> list[Part]:
 def _statements(text: str) -> tuple[np.ndarray, np.ndarray | None, np.ndarray, dict[str, list[tuple[int, int]]]]:
     """Positions ``[V,3]``, linear colours ``[V,3]`` or None, texture coordinates ``[T,2]`` with v downwards, and for
     each material the corners of its triangles as (position, texture coordinate or -1), counted from 0."""
-    positions, places, corners, material = [], [], {}, ""
+    positions, coordinates, corners, material = [], [], {}, ""
     for line in text.replace("\\\n", " ").splitlines():
         key, *words = line.split("#", 1)[0].split() or [""]
         if key == "v":
             positions.append([float(word) for word in words])
         elif key == "vt":
-            places.append((float(words[0]), 1 - float(words[1]) if len(words) > 1 else 1.0))
+            coordinates.append((float(words[0]), 1 - float(words[1]) if len(words) > 1 else 1.0))
         elif key == "usemtl":
             material = line.strip()[6:].strip()
         elif key == "f":
             ring = []
             for word in words:
                 numbers = [int(number) if number else 0 for number in word.split("/")[:2]]
-                at, place = numbers if len(numbers) > 1 else (numbers[0], 0)
-                at, place = at - 1 if at > 0 else len(positions) + at, place - 1 if place >= 0 else len(places) + place
-                ring.append((at, place))
+                position, uv = numbers if len(numbers) > 1 else (numbers[0], 0)
+                position = position - 1 if position > 0 else len(positions) + position
+                ring.append((position, uv - 1 if uv >= 0 else len(coordinates) + uv))
             into = corners.setdefault(material, [])
             for second, third in pairwise(ring[1:]):
                 into += (ring[0], second, third)
@@ -89,7 +89,7 @@ def _statements(text: str) -> tuple[np.ndarray, np.ndarray | None, np.ndarray, d
     if positions and all(len(row) in (6, 7) for row in positions):
         rgb = np.array([row[3:6] for row in positions])
         colours = colour.to_linear(np.clip(rgb / 255 if rgb.max() > 1 else rgb, 0, 1))
-    return vertices, colours, np.array(places, dtype=np.float64).reshape(-1, 2), corners
+    return vertices, colours, np.array(coordinates, dtype=np.float64).reshape(-1, 2), corners
 
 
 def _library(obj: Path, path: Path) -> dict[str, Material]:
@@ -112,7 +112,8 @@ def _library(obj: Path, path: Path) -> dict[str, Material]:
             if numbers[0] in ("spectral", "xyz"):
                 raise AssetError(f"{path} gives Kd as {numbers[0]}. Write it as three RGB numbers.")
             rgb = np.array((numbers * 3)[:3] if len(numbers) == 1 else numbers[:3], dtype=np.float64)
-            materials[name] = Material(tuple(map(float, colour.to_linear(rgb))))
+            red, green, blue = map(float, colour.to_linear(rgb))
+            materials[name] = Material((red, green, blue))
         elif key == "map_kd" and name is not None:
             materials[name] = Material(texture=_texture(obj, path.parent, rest))
     return materials
@@ -143,7 +144,7 @@ def _texture(obj: Path, folder: Path, statement: str) -> Texture:
         ) from None
     # OBJ's v points up and the options act there, v' = s·v + o; ours points down: 1 - v' = s·(1 - v) + o.
     transform = np.array([[scale[0], 0, offset[0]], [0, scale[1], 1 - scale[1] - offset[1]]])
-    return Texture(pixels(data, str(path)), (wrap, wrap), transform=transform)
+    return Texture(decode_image(data, str(path)), (wrap, wrap), transform=transform)
 
 
 def _is_number(word: str) -> bool:

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from genmf_mi.assets.albedo import CLAMP, MIRROR, REPEAT, Material, Texture
-from genmf_mi.assets.part import Part, pixels
+from genmf_mi.assets.part import Part, decode_image
 from genmf_mi.core import colour
 from genmf_mi.core.errors import AssetError
 
 
 def read(path: Path) -> list[Part]:
-    """All objects on the build plate, in the file's own unit and z up, one part per object and group of colours.
+    """All objects on the build plate, in the file's own unit and z up, one part per object and property group.
 
     Colours are sRGB-encoded by the specification; of composite materials the display colours are mixed in linear light.
 
@@ -22,7 +23,7 @@ def read(path: Path) -> list[Part]:
     """
     from lib3mf import get_wrapper
 
-    model = get_wrapper().CreateModel()
+    model: Any = get_wrapper().CreateModel()  # the generated bindings declare that it may be None
     model.QueryReader("3mf").ReadFromFile(str(path))
     parts, groups = [], {}
     items = model.GetBuildItems()
@@ -53,19 +54,19 @@ def _object(path: Path, model, groups: dict, item, matrix: np.ndarray) -> list[P
             group[row], corner[row] = properties.ResourceID, tuple(properties.PropertyIDs)
     parts = []
     for identifier in np.unique(group):
-        here = group == identifier
+        rows = group == identifier
         if identifier not in groups:
             groups[identifier] = _group(path, model, int(identifier))
         material, uv, colours = groups[identifier]
-        ids = corner[here].ravel()
+        ids = corner[rows].ravel()
         parts.append(
             Part(
-                vertices[faces[here]].reshape(-1, 3),
-                np.arange(3 * here.sum()).reshape(-1, 3),
+                vertices[faces[rows]].reshape(-1, 3),
+                np.arange(3 * rows.sum()).reshape(-1, 3),
                 material,
                 None if uv is None else np.array([uv[number] for number in ids]),
                 None if colours is None else np.array([colours[number] for number in ids], dtype=np.float32),
-            ).moved(matrix)
+            ).transformed(matrix)
         )
     return parts
 
@@ -92,13 +93,13 @@ def _group(path: Path, model, identifier: int) -> tuple[Material, dict | None, d
         return Material(), None, colours
     if kind == PropertyType.TexCoord:
         group = model.GetTexture2DGroupByID(identifier)
-        picture = group.GetTexture2D()
-        attachment = picture.GetAttachment()
-        wrap = tuple(_WRAP[int(style)] for style in picture.GetTileStyleUV())
+        image = group.GetTexture2D()
+        attachment = image.GetAttachment()
+        along_u, along_v = (_WRAP[int(style)] for style in image.GetTileStyleUV())
         texture = Texture(
-            pixels(bytes(attachment.WriteToBuffer()), attachment.GetPath()),
-            wrap,
-            picture.GetFilter() == TextureFilter.Nearest,
+            decode_image(bytes(attachment.WriteToBuffer()), attachment.GetPath()),
+            (along_u, along_v),
+            image.GetFilter() == TextureFilter.Nearest,
         )
         uv = {}
         for number in group.GetAllPropertyIDs():

@@ -1,4 +1,4 @@
-"""Reading and writing the files of docs/generators.md: NPZ, safetensors and PT, without running what they may hold."""
+"""Reading and writing the files of docs/generators.md: NPZ, safetensors and PT, without running code in them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import warnings
 import zipfile
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,50 +20,58 @@ from genmf_mi.core.errors import AssetError
 from genmf_mi.core.files import atomic
 from genmf_mi.mesh.nearest import distance_to_surface
 
+if TYPE_CHECKING:
+    from torch import Tensor
+
 FORMATS = (".npz", ".safetensors", ".pt")
 """Suffixes that :func:`load` reads and, but for ``.pt``, :func:`save` writes."""
 
-_CODE = "holds pickled objects, which could run code when read. Save plain arrays only, see docs/generators.md."
-_FAR = 0.05
+_PICKLED = "holds pickled objects, which could run code when read. Save plain arrays only, see docs/generators.md."
+_MAX_DISTANCE = 0.05
 """Mean distance, as a share of the longest side, up to which a textured mesh is taken for the same object."""
 
 
 def load(path: str | Path, textured: str | Path | Asset | None = None) -> SdfAsset:
-    """A file that a generator's user, or :func:`save`, wrote. Which schema it has is told by its keys.
+    """Read a file that a generator's user, or :func:`save`, wrote; its keys determine the schema.
 
     Args:
-        textured: the same object as a mesh with colours, y up or in the generator's own frame; it takes the place of
-            colours in the file.
+        textured: the same object as a mesh with colours, y up or in the generator's own frame; it replaces colours in
+            the file.
 
     Raises:
-        AssetError: the file is missing, damaged, of an unknown kind or schema, or holds pickled objects; what it holds
-            is no shape; or ``textured`` is another object.
+        AssetError: the file is missing, damaged, of an unknown kind or schema, or holds pickled objects; its arrays do
+            not describe a shape; or ``textured`` is another object.
     """
     path = Path(path)
     arrays = read(path)
     if "coords" in arrays and "feats" in arrays:
         rotation = trellis.TO_Y_UP
         resolution = int(_scalar(path, arrays, "resolution", trellis.RESOLUTION))
-        made = trellis.build(path.stem, arrays["coords"], arrays["feats"], resolution=resolution, source=path)
+        shape = trellis.build(path.stem, arrays["coords"], arrays["feats"], resolution=resolution, source=path)
     elif "sdf" in arrays:
         rotation = instantmesh.TO_Y_UP
-        made = instantmesh.build(
+        shape = instantmesh.build(
             path.stem,
-            *(arrays.get(key) for key in ("sdf", "deformation", "weights")),
+            arrays["sdf"],
+            arrays.get("deformation"),
+            arrays.get("weights"),
             scale=_scalar(path, arrays, "scale", instantmesh.SCALE),
             source=path,
         )
     elif "phi" in arrays:
         rotation = np.eye(3)
         centre = arrays.get("centre", np.zeros(3)).reshape(-1)
-        if centre.shape != (3,):
+        if len(centre) != 3:
             raise AssetError(f"{path}: centre must be three numbers.")
-        made = SdfAsset(
+        x, y, z = map(float, centre)
+        shape = SdfAsset(
             path.stem,
-            *(_float32(arrays.get(key)) for key in ("phi", "deformation", "weights")),
+            arrays["phi"].astype(np.float32),
+            _float32(arrays.get("deformation")),
+            _float32(arrays.get("weights")),
             arrays.get("rows"),
             spread=_scalar(path, arrays, "spread", SdfAsset.spread),
-            centre=tuple(map(float, centre)),
+            centre=(x, y, z),
             half=_scalar(path, arrays, "half", SdfAsset.half),
             source=path,
         )
@@ -73,10 +82,10 @@ def load(path: str | Path, textured: str | Path | Asset | None = None) -> SdfAss
         )
     if textured is not None:
         mesh = textured if isinstance(textured, Asset) else meshes.load(textured)
-        return replace(made, coloured=_fitting(made, mesh, rotation))
+        return replace(shape, coloured=_aligned(shape, mesh, rotation))
     if "colours" in arrays:
-        return replace(made, coloured=_painted(path, arrays, rotation))
-    return made
+        return replace(shape, coloured=_coloured(path, arrays, rotation))
+    return shape
 
 
 def read(path: str | Path) -> dict[str, np.ndarray]:
@@ -88,7 +97,7 @@ def read(path: str | Path) -> dict[str, np.ndarray]:
     path = Path(path)
     suffix = path.suffix.lower()
     if not path.is_file():
-        raise AssetError(f"{path} is not there. Check the spelling, or give the full path.")
+        raise AssetError(f"{path} does not exist. Check the spelling, or give the full path.")
     if suffix not in FORMATS:
         raise AssetError(f"{path} is of an unknown kind ({suffix or 'no suffix'}). Use one of {', '.join(FORMATS)}.")
     try:
@@ -132,13 +141,13 @@ def save(shape: SdfAsset, path: str | Path) -> Path:
 
 def _read_npz(path: Path) -> dict[str, np.ndarray]:
     if not zipfile.is_zipfile(path):
-        raise AssetError(f"{path} is no NPZ file. Write it with numpy.savez_compressed.")
+        raise AssetError(f"{path} is not an NPZ file. Write it with numpy.savez_compressed.")
     with np.load(path, allow_pickle=False) as members:
         try:
             return {key: members[key] for key in members.files}
         except ValueError as error:
             if "allow_pickle" in str(error):
-                raise AssetError(f"{path} {_CODE}") from None
+                raise AssetError(f"{path} {_PICKLED}") from None
             raise
 
 
@@ -152,11 +161,11 @@ def _read_pt(path: Path) -> dict[str, np.ndarray]:
     import torch
 
     try:
-        with warnings.catch_warnings():  # about pickles of another kind than torch's own, which are refused here
+        with warnings.catch_warnings():  # about pickles of another kind than torch's own, which are refused below
             warnings.simplefilter("ignore")
             content = torch.load(path, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
-        raise AssetError(f"{path} {_CODE}") from error
+        raise AssetError(f"{path} {_PICKLED}") from error
     if not isinstance(content, dict):
         raise AssetError(f"{path} holds a {type(content).__name__}; it must be a dictionary of tensors.")
     return {
@@ -166,7 +175,7 @@ def _read_pt(path: Path) -> dict[str, np.ndarray]:
     }
 
 
-def _array(tensor) -> np.ndarray:
+def _array(tensor: Tensor) -> np.ndarray:
     import torch
 
     return (tensor.float() if tensor.dtype == torch.bfloat16 else tensor).detach().contiguous().numpy()
@@ -183,8 +192,8 @@ def _scalar(path: Path, arrays: dict[str, np.ndarray], key: str, default: float)
     return float(value.reshape(()))
 
 
-def _painted(path: Path, arrays: dict[str, np.ndarray], rotation: np.ndarray) -> Asset:
-    """The mesh with sRGB-encoded colours per vertex that a file may hold."""
+def _coloured(path: Path, arrays: dict[str, np.ndarray], rotation: np.ndarray) -> Asset:
+    """The mesh with sRGB-encoded colours per vertex that a file can have beside the grid."""
     missing = {"vertices", "faces"} - set(arrays)
     if missing:
         raise AssetError(f"{path} has colours but no {' and no '.join(sorted(missing))} that they belong to.")
@@ -197,21 +206,21 @@ def _painted(path: Path, arrays: dict[str, np.ndarray], rotation: np.ndarray) ->
     return Asset.from_arrays(path.stem, vertices, arrays["faces"], colours=linear)
 
 
-def _fitting(shape: SdfAsset, mesh: Asset, rotation: np.ndarray) -> Asset:
-    """``mesh``, turned as the generator's own frame if that is where it fits ``shape``."""
+def _aligned(shape: SdfAsset, mesh: Asset, rotation: np.ndarray) -> Asset:
+    """``mesh``, rotated from the generator's own frame to y up if it fits ``shape`` better that way."""
     vertices, faces = shape.surface()
     longest = np.ptp(vertices, axis=0).max()
-    turned = replace(mesh, vertices=mesh.vertices @ rotation.T)
-    far, best = min(
+    rotated = replace(mesh, vertices=mesh.vertices @ rotation.T)
+    distance, best = min(
         (
             (distance_to_surface(one.vertices[np.unique(one.faces)], vertices, faces).mean(), one)
-            for one in (mesh, turned)
+            for one in (mesh, rotated)
         ),
         key=lambda pair: pair[0],
     )
-    if far > _FAR * longest:
+    if distance > _MAX_DISTANCE * longest:
         raise AssetError(
-            f"{mesh.name} is not where {shape.name} is: its vertices are {far / longest:.0%} of the longest side off "
-            "the surface. Give the mesh that the generator wrote, neither moved nor scaled."
+            f"{mesh.name} is not at the position of {shape.name}: its vertices are {distance / longest:.0%} of the "
+            "longest side away from the surface. Give the mesh that the generator wrote, neither moved nor scaled."
         )
     return best

@@ -2,33 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-import numpy as np
-
 from genmf_mi.assets.asset import Asset
 from genmf_mi.assets.sdf_asset import SdfAsset
 from genmf_mi.core.frame import Frame
-from genmf_mi.mesh import solid
+from genmf_mi.core.progress import Progress
+from genmf_mi.mesh.solid import solidify
 from genmf_mi.sdf.distance import lost_fraction, signed_distance
 
 
-def convert(asset: Asset, samples: int = 129, say: Callable[[str], None] = lambda text: None) -> SdfAsset:
-    """The solid that the mesh route would refine, as an exact distance field; colours stay those of ``asset``.
+def sdf_from_mesh(asset: Asset, samples: int = 129, progress: Progress | None = None) -> SdfAsset:
+    """The solid that the mesh route would refine, as an exact distance field; the colours stay those of ``asset``.
 
     Args:
-        samples: per axis. What is thinner than two cells may be lost: under ``report["lost_fraction"]`` of the surface.
-        say: is told what is being done.
+        samples: per axis. Parts thinner than two cells may be lost; ``report["lost_fraction"]`` is their share of the
+            surface.
 
     Raises:
-        SolidError: no solid can be made of it, or a grid this coarse sees nothing of it.
+        SolidError: no solid can be made of it, or the grid is too coarse for any of it.
     """
-    say("making it solid")
-    body = solid.solidify(asset.name, asset.vertices, asset.faces)
-    say(f"measuring distances on {samples}³ samples")
-    frame = Frame.of(body.vertices, size_mm=1.0)
-    vertices = frame.normalise(body.vertices)
-    phi = signed_distance(vertices, body.faces, samples)
+    progress = progress or Progress()
+    progress.stage("making it solid")
+    solid = solidify(asset.name, asset.vertices, asset.faces)
+    progress.stage(f"measuring distances on {samples}³ samples")
+    frame = Frame.of(solid.vertices, size_mm=1.0)
+    vertices = frame.normalise(solid.vertices)
+    phi = signed_distance(vertices, solid.faces, samples)
     return SdfAsset(
         asset.name,
         phi,
@@ -36,5 +34,5 @@ def convert(asset: Asset, samples: int = 129, say: Callable[[str], None] = lambd
         half=1 / frame.scale,
         coloured=asset,
         source=asset.source,
-        report=body.report | {"lost_fraction": lost_fraction(vertices, np.asarray(body.faces), phi)},
+        report=solid.report | {"lost_fraction": lost_fraction(vertices, solid.faces, phi)},
     )

@@ -27,23 +27,23 @@ def build(
     scale: float = SCALE,
     source: Path | None = None,
 ) -> SdfAsset:
-    """An :class:`SdfAsset` of the raw outputs.
+    """The :class:`SdfAsset` of the raw outputs.
 
     Args:
         sdf: ``[m³]`` or ``[m,m,m]``, x slowest, with axes of length one anywhere. Either sign: see
             :func:`grid.outside_positive`.
-        deformation: ``[m³,3]``, before tanh; it moves samples by at most 1 / (4 n), whatever the scale.
+        deformation: ``[m³,3]``, before tanh; the samples are displaced by at most 1 / (4 n), whatever the scale.
         weights: ``[n³,21]``.
         scale: the side of the grid.
 
     Raises:
-        AssetError: an array does not fit the grid, holds numbers that are none, or has no level set.
+        AssetError: an array does not fit the grid or has values that are not finite, or there is no level set.
     """
     where = str(source or name)
     values = np.asarray(sdf, dtype=np.float32)
     m = round(values.size ** (1 / 3))
     if m**3 != values.size or {*values.shape} - {1, m, m**3} or m < 4:
-        raise AssetError(f"{where}: sdf of shape {values.shape} is no cubic grid; InstantMesh has 129³ samples.")
+        raise AssetError(f"{where}: sdf of shape {values.shape} is not a cubic grid; InstantMesh has 129³ samples.")
     if not scale > 0:
         raise AssetError(f"{where}: scale must be positive, not {scale}.")
     n = m - 1
@@ -52,12 +52,12 @@ def build(
     phi, report = grid.sealed(grid.outside_positive(values.reshape(m, m, m), where))
     if deformation is not None:
         deformation = np.tanh(deformation) / (n * DEFORMATION_DIVISOR) / (scale / 2)
-    phi, deformation, weights, _ = grid.turned(TO_Y_UP, grid.scaled(phi), deformation, weights, None)
+    phi, deformation, weights, _ = grid.rotated(TO_Y_UP, grid.scaled(phi), deformation, weights, None)
     return SdfAsset(name, phi, deformation, weights, spread=SPREAD, half=float(scale) / 2, source=source, report=report)
 
 
 def _shaped(where: str, name: str, array: np.ndarray | None, flat: tuple, shape: tuple) -> np.ndarray | None:
-    """``array`` as ``shape``, its rows as in ``flat`` or laid out already, with axes of length one anywhere."""
+    """``array`` in the shape ``shape``; it may be ``flat`` and have axes of length one anywhere."""
     if array is None:
         return None
     array = np.asarray(array, dtype=np.float32)
@@ -65,5 +65,5 @@ def _shaped(where: str, name: str, array: np.ndarray | None, flat: tuple, shape:
     if squeezed not in (flat, shape):
         raise AssetError(f"{where}: {name} of shape {array.shape} does not fit sdf; it must be {flat}.")
     if not np.isfinite(array).all():
-        raise AssetError(f"{where}: {name} has numbers that are none (NaN or infinite). Generate it again.")
+        raise AssetError(f"{where}: {name} has values that are not finite numbers. Generate it again.")
     return array.reshape(shape)

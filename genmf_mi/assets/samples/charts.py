@@ -1,4 +1,4 @@
-"""Surfaces made of rectangular charts, and the texture that a function of the 3D point paints on them.
+"""Surfaces of rectangular charts, with a texture that is a function of the 3D point.
 
 A sample is a few :class:`Chart` grids whose borders meet exactly, and a function ``paint(points, texel)`` that gives
 the colour of any point in space. A texel's colour is that of the point on the mesh it lies on, so neighbouring charts
@@ -13,9 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 from PIL import Image
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import PBRMaterial
 
 GUTTER = 4
-"""Texels between a chart and the edge of its box; they repeat the border's colour, so that filtering finds no seam."""
+"""Texels between a chart and the edge of its box; they repeat the border's colour, so that filtering shows no seam."""
 
 Field = Callable[[np.ndarray], np.ndarray]
 """Points ``[N,3]`` to values ``[N]``: negative inside, positive outside, about a distance near the surface."""
@@ -60,10 +62,8 @@ def assemble(charts: Sequence[Chart], paint: Paint, resolution: int) -> trimesh.
         offset += rows * columns
     points = np.concatenate(vertices)
     points = (points - (points.min(axis=0) + points.max(axis=0)) / 2) / longest
-    material = trimesh.visual.material.PBRMaterial(
-        baseColorTexture=Image.fromarray(texture), metallicFactor=0.0, roughnessFactor=0.7
-    )
-    visual = trimesh.visual.TextureVisuals(uv=np.concatenate(uv), material=material)
+    material = PBRMaterial(baseColorTexture=Image.fromarray(texture), metallicFactor=0.0, roughnessFactor=0.7)
+    visual = TextureVisuals(uv=np.concatenate(uv), material=material)
     return trimesh.Trimesh(points, np.concatenate(faces), visual=visual, process=False)
 
 
@@ -73,7 +73,7 @@ def cube_sphere(
     """Six charts on the surface where ``field`` is zero, which every ray from the origin must cross once.
 
     The rays are those of a cube whose faces are cut into equal angles, multiplied by ``stretch``: give an elongated
-    body its own proportions and the triangles come out even. ``reach`` is beyond the surface in every direction.
+    solid its own proportions and the triangles are even. ``reach`` is beyond the surface in every direction.
     """
     half = np.tan(np.linspace(0, np.pi / 4, subdivisions // 2 + 1))
     # Exactly symmetric, so that the borders of the charts agree in every bit.
@@ -95,7 +95,7 @@ def cube_sphere(
 
 
 def cast(field: Field, rays: np.ndarray, reach: float = 2) -> np.ndarray:
-    """Where rays ``[N,3]`` from the origin leave the body ``field``, by bisection: ``[N,3]``."""
+    """Where rays ``[N,3]`` from the origin leave the solid ``field``, by bisection: ``[N,3]``."""
     rays = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
     inside, outside = np.zeros(len(rays)), np.full(len(rays), float(reach))
     for _ in range(32):

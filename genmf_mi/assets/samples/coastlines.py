@@ -9,7 +9,7 @@ from functools import cache
 
 import numpy as np
 from PIL import Image, ImageDraw
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter1d
 
 LAND = {
     "Africa": [
@@ -141,7 +141,12 @@ def land() -> np.ndarray:
                 columns = (outline[:, 0] + 180 + turn) * PER_DEGREE
                 rows = (90 - outline[:, 1]) * PER_DEGREE
                 draw.polygon(list(zip(columns, rows)), fill=fill)
-    return gaussian_filter(np.asarray(image, np.float32) / 255, 1.2, mode=("nearest", "wrap"))
+    return blurred(np.asarray(image, np.float32) / 255, 1.2)
+
+
+def blurred(grid: np.ndarray, sigma: float) -> np.ndarray:
+    """A map ``[rows, columns]`` after a Gaussian filter of ``sigma`` cells, which wraps around in longitude."""
+    return gaussian_filter1d(gaussian_filter1d(grid, sigma, axis=0, mode="nearest"), sigma, axis=1, mode="wrap")
 
 
 def _rounded(corners: np.ndarray) -> np.ndarray:

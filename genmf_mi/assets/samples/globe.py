@@ -8,10 +8,10 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.ndimage import map_coordinates
 
 from genmf_mi.assets.samples.charts import Chart, cube_sphere
-from genmf_mi.assets.samples.coastlines import PER_DEGREE, land
+from genmf_mi.assets.samples.coastlines import PER_DEGREE, blurred, land
 from genmf_mi.assets.samples.pattern import cut, inside, mix, noise, ramp, rgb
 
 _RADIUS = 0.5
@@ -50,7 +50,7 @@ def paint(points: np.ndarray, texel: float) -> np.ndarray:
 @cache
 def _surroundings() -> np.ndarray:
     """How much of the two degrees around is land, as :func:`land`."""
-    return gaussian_filter(land(), 1.1 * PER_DEGREE, mode=("nearest", "wrap"))
+    return blurred(land(), 1.1 * PER_DEGREE)
 
 
 def _ground(latitude: np.ndarray, longitude: np.ndarray, grain: np.ndarray) -> np.ndarray:

@@ -1,7 +1,8 @@
-"""The few pieces all samples are painted and shaped with. Values are arrays ``[N]``, colours sRGB in 0..1."""
+"""The functions that all samples are shaped and painted with. Values are arrays ``[N]``, colours sRGB in 0..1."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
@@ -9,6 +10,8 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 _CELLS = 64  # lattice points per period
 _FEATURE = 4  # lattice points per feature, so that linear interpolation looks smooth
+
+Vector = np.ndarray | Sequence[float]
 
 
 def rgb(code: str) -> np.ndarray:
@@ -33,18 +36,19 @@ def inside(distance: np.ndarray, texel: float) -> np.ndarray:
 
 
 def union(a: np.ndarray, b: np.ndarray, radius: float) -> np.ndarray:
-    """The field of two bodies joined with a fillet of about ``radius`` (polynomial smooth minimum, Quilez 2013)."""
+    """The field of the union of two solids, with a fillet of about ``radius`` (smooth minimum, Quilez 2013)."""
     h = np.maximum(radius - np.abs(a - b), 0) / radius
     return np.minimum(a, b) - h * h * radius / 4
 
 
 def cut(a: np.ndarray, b: np.ndarray, radius: float) -> np.ndarray:
-    """The field of what two bodies have in common, its edge rounded by about ``radius``."""
+    """The field of the intersection of two solids, its edge rounded by about ``radius``."""
     return -union(-a, -b, radius)
 
 
-def ellipsoid(points: np.ndarray, centre: tuple[float, ...], axes: tuple[float, ...]) -> np.ndarray:
+def ellipsoid(points: np.ndarray, centre: Vector, axes: Vector) -> np.ndarray:
     """The field of an axis-aligned ellipsoid, near its surface about a distance."""
+    axes = np.asarray(axes)
     local = (points - np.asarray(centre)) / axes
     length = np.linalg.norm(local, axis=-1)
     gradient = np.linalg.norm(local / axes, axis=-1)

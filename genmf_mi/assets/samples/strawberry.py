@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from genmf_mi.assets.samples.charts import Chart, cast, cube_sphere
 from genmf_mi.assets.samples.pattern import cut, inside, mix, noise, ramp, rgb, union
@@ -30,7 +30,7 @@ def paint(points: np.ndarray, texel: float) -> np.ndarray:
     colour = mix(colour, rgb("d8574a"), 0.8 * ramp(points[:, 1], 0.26, 0.40))
 
     seeds, down = _seeds()
-    _, nearest = cKDTree(seeds).query(points)
+    _, nearest = KDTree(seeds).query(points)
     offset = points - seeds[nearest]
     along = np.einsum("ij,ij->i", offset, down[nearest])
     across = np.sqrt(np.maximum(np.einsum("ij,ij->i", offset, offset) - along**2, 0))
