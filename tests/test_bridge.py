@@ -213,7 +213,7 @@ def test_picture_of_values_at_pixel_centres(shape):
     """Pictures of the coordinates are points; seen from the camera they must lie at the centres of their pixels."""
     part, vertices, faces, _ = shape
     bridge.render(part, VIEWS[:1], vertices)
-    pictures = [bridge.picture_of(part, VIEWS, faces, coordinate) for coordinate in vertices.numpy().T]
+    pictures = [bridge.render_vertex_values(part, VIEWS, faces, coordinate) for coordinate in vertices.numpy().T]
     points = np.stack(pictures, axis=-1)
     half = np.tan(np.radians(28 / 2))
     for view, picture in zip(VIEWS, points, strict=True):

@@ -303,7 +303,7 @@ def test_silhouettes_see_what_moves_sideways():
         "sensor": sensor(), "disc": disc(),
     })  # fmt: skip
     params = mi.traverse(scene)
-    key = variant.vertex_key("disc")
+    key = variant.vertex_positions_key("disc")
     scale = mi.Float(1.0)
     dr.enable_grad(scale)
     params[key] = params[key] * scale

@@ -123,17 +123,17 @@ class TestLoaded:
 
     def test_turned_lights(self, loaded):
         """By 30° to the right and 10° up, about the camera's axes; the next view has them back."""
-        before = {key: np.ravel(loaded.params[key]) for key in variant.light_keys(loaded.shape_id)}
-        loaded.look(View(70, 20, (30.0, 0.0)))
+        before = {key: np.ravel(loaded.params[key]) for key in variant.light_direction_keys(loaded.shape_id)}
+        loaded.set_view(View(70, 20, (30.0, 0.0)))
         for key, light in before.items():
             x, y, z = light
             s, c = np.sin(np.pi / 6), np.cos(np.pi / 6)
             np.testing.assert_allclose(np.ravel(loaded.params[key]), [c * x + s * z, y, c * z - s * x], atol=1e-6)
-        loaded.look(View(70, 20, (0.0, 90.0)))
+        loaded.set_view(View(70, 20, (0.0, 90.0)))
         for key, light in before.items():
             x, y, z = light
             np.testing.assert_allclose(np.ravel(loaded.params[key]), [x, -z, y], atol=1e-6)
-        loaded.look(View(70, 20))
+        loaded.set_view(View(70, 20))
         for key, light in before.items():
             np.testing.assert_allclose(np.ravel(loaded.params[key]), light, atol=1e-6)
 
@@ -153,7 +153,7 @@ class TestLoaded:
         path = tmp_path / "my.xml"
         path.write_text(DEFAULT.replace(MATERIAL, text.replace("</bsdf>", weights)))
         mine = scene.load(path, ball, radius=0.95)
-        mine.look(View(0, 0, (20.0, 10.0)))
+        mine.set_view(View(0, 0, (20.0, 10.0)))
         assert mine.material == {
             "albedo": pytest.approx(0.6), "ambient": pytest.approx(0.1), "sharpness": 5, "key_weight": 0.5,
             "fill_weight": 0.375, "key": pytest.approx([-0.4, 0.5, 1]), "fill": pytest.approx([0.6, 0.1, 0.6]),

@@ -64,7 +64,7 @@ def made(folder: Path, albedo, monkeypatch, pictures: tuple = (), **options) -> 
     monkeypatch.setattr(target, "FINEST", 16 * len(faces))
     xml, options = scene.find("default"), {"radius": 0.95, "resolution": 96, "samples": 16, **options}
     normals = bridge.write_ply(folder / "part.ply", vertices, faces)
-    reference = target.make(xml, folder, vertices, faces, normals, albedo, pictures=pictures, **options)
+    reference = target.build_reference(xml, folder, vertices, faces, normals, albedo, pictures=pictures, **options)
     assert len(trimesh.load(folder / target.FILE, process=False).faces) == 16 * len(faces)
     return scene.load(xml, folder / "part.ply", **options), reference
 
@@ -77,7 +77,7 @@ class TestReference:
     def test_an_object_of_one_colour_is_its_own_target(self, tmp_path, monkeypatch):
         """Pixel by pixel, though the two meshes differ in their number of triangles."""
         part, reference = made(tmp_path, plain((0.2, 0.7, 0.4)), monkeypatch)
-        ours, theirs = bridge.render(part, VIEWS, seed=4), reference.look(VIEWS, seed=4)
+        ours, theirs = bridge.render(part, VIEWS, seed=4), reference.render(VIEWS, seed=4)
         assert (0.7 * ours.grey - theirs.grey).abs().max() < 1e-6
         assert (ours.normal - theirs.normal).abs().max() < 1e-5
         assert (ours.depth - theirs.depth).abs().max() < 5e-6
@@ -91,14 +91,14 @@ class TestReference:
 
         part, reference = made(tmp_path, two_tone, monkeypatch)
         view = View(0, 0)
-        shading, seen = bridge.render(part, [view]).grey[0, 0].numpy(), reference.look([view])
-        grey, colour = seen.grey[0, 0].numpy(), reference.colour([view])[0]
+        shading, seen = bridge.render(part, [view]).grey[0, 0].numpy(), reference.render([view])
+        grey, colour = seen.grey[0, 0].numpy(), reference.render_colour([view])[0]
         upper, lower = np.s_[20:44, 20:76], np.s_[52:76, 20:76]  # the middle rows are blurred by the fine triangles
         for rows, value in ((upper, 0.9), (lower, 0.5)):
             np.testing.assert_allclose(grey[rows], value * shading[rows], atol=2e-6)
         np.testing.assert_allclose(colour[upper], shading[upper][..., None] * [0.9, 0.1, 0.3], atol=1e-5)
         np.testing.assert_allclose(colour[lower], shading[lower][..., None] * [0.1, 0.5, 0.2], atol=1e-5)
-        np.testing.assert_array_equal(reference.look([view]).grey, seen.grey)  # looking at colours leaves no trace
+        np.testing.assert_array_equal(reference.render([view]).grey, seen.grey)  # looking at colours leaves no trace
 
     def test_albedo_is_asked_at_points_with_their_normals(self, tmp_path, monkeypatch):
         asked = []
@@ -114,8 +114,8 @@ class TestReference:
 
     def test_at_another_resolution(self, tmp_path, monkeypatch):
         _, reference = made(tmp_path, plain((0.2, 0.7, 0.4)), monkeypatch)
-        small = target.load(scene.find("default"), tmp_path, radius=0.95, resolution=48, samples=64)
-        fine, coarse = reference.look(VIEWS, samples=64).grey, small.look(VIEWS).grey
+        small = target.load_reference(scene.find("default"), tmp_path, radius=0.95, resolution=48, samples=64)
+        fine, coarse = reference.render(VIEWS, samples=64).grey, small.render(VIEWS).grey
         assert coarse.shape[-1] == 48
         assert (torch.nn.functional.avg_pool2d(fine, 2) - coarse).abs().mean() < 2e-3
         assert small.views == reference.views == reference.scene.views
@@ -186,14 +186,14 @@ class TestReferenceFromPictures:
         pictured = target.read_picture(f"{picture(tmp_path / 'a.png', (200, 150), (30, 20, 110, 120))}@10,20")
         part, reference = made(tmp_path, plain((1, 1, 1)), monkeypatch, pictures=(pictured,))
         assert reference.views == (View(10, 20),)
-        seen, shading = reference.look(VIEWS, seed=2), bridge.render(part, VIEWS, seed=2)
+        seen, shading = reference.render(VIEWS, seed=2), bridge.render(part, VIEWS, seed=2)
         assert (seen.grey[1] - shading.grey[1]).abs().max() < 5e-6
         inside = seen.coverage[0, 0] == 1
         assert set(np.round(seen.grey[0, 0][inside & (torch.arange(96) < 40)].numpy(), 2)) == {1.0}
         right = seen.grey[0, 0][inside & (torch.arange(96) > 56)]
         np.testing.assert_allclose(right, to_linear(np.array(128 / 255)), atol=0.02)
         assert (seen.grey[0, 0][shading.coverage[0, 0] == 0] == 0).all()
-        colour = reference.colour(VIEWS[:1])[0]
+        colour = reference.render_colour(VIEWS[:1])[0]
         np.testing.assert_allclose(colour[48, 30], to_linear(np.array([255, 20, 20]) / 255), atol=0.02)
 
     def test_beyond_the_outline_of_the_picture_nothing_is_compared(self, tmp_path, monkeypatch):
@@ -203,7 +203,7 @@ class TestReferenceFromPictures:
         Image.fromarray(pixels).save(tmp_path / "diamond.png")
         read = target.read_picture(f"{tmp_path / 'diamond.png'}@10,20")
         part, reference = made(tmp_path, plain((1, 1, 1)), monkeypatch, pictures=(read,))
-        seen, whole = reference.look(VIEWS[:1]), bridge.render(part, VIEWS[:1]).coverage
+        seen, whole = reference.render(VIEWS[:1]), bridge.render(part, VIEWS[:1]).coverage
         assert 0.5 < seen.coverage.sum() / whole.sum() < 0.8
         assert (seen.coverage <= whole + 1e-6).all()
         np.testing.assert_allclose(seen.grey, seen.coverage, atol=0.02)
@@ -222,7 +222,7 @@ class TestReferenceFromPictures:
                                 references=(f"{path}@0,0", f"{path}@90,10"))  # fmt: skip
         assert piece.reference.views == piece.judged_reference.views == (View(0, 0), View(90, 10))
         assert np.ptp(piece.brightness) < 1e-6
-        grey = piece.reference.look([View(90, 10)]).grey[0, 0]
+        grey = piece.reference.render([View(90, 10)]).grey[0, 0]
         assert grey[32, 16] > 0.95 and grey[32, 48] < 0.3
 
     def test_a_bad_picture_is_refused_before_the_work(self, tmp_path, monkeypatch):

@@ -59,28 +59,28 @@ def render(
     import mitsuba as mi
     import torch
 
-    key = variant.vertex_key(scene.shape_id)
+    key = variant.vertex_positions_key(scene.shape_id)
 
-    def look_and_render(draw):
+    def render_views(draw):
         images = []
         for view in views:
-            scene.look(view)
+            scene.set_view(view)
             images.append(draw(scene.scene, scene.sensor, seed, samples))
         return images
 
     @dr.wrap(source="torch", target="drjit")
     def render_moved(positions):
         if corners is not None:
-            scene.params[variant.face_key(scene.shape_id)] = corners
+            scene.params[variant.faces_key(scene.shape_id)] = corners
         scene.params[key] = positions.array
         scene.params.update()
-        return look_and_render(scene.integrator.render_attached)
+        return render_views(scene.integrator.render_attached)
 
     corners = None if faces is None else mi.UInt32(faces.to(torch.int32).contiguous().flatten())
     images = (
         render_moved(vertices)
         if vertices is not None
-        else [image.torch() for image in look_and_render(scene.integrator.render)]
+        else [image.torch() for image in render_views(scene.integrator.render)]
     )
     stack = torch.stack([image.permute(2, 0, 1) for image in images])
     if vertices is not None:
@@ -119,7 +119,7 @@ def free_ray_distance(scene, points: np.ndarray, directions: np.ndarray, offset:
     return np.array(scene.ray_intersect_preliminary(ray).t, dtype=np.float64) + offset
 
 
-def thickness(vertices: np.ndarray, faces: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+def wall_thickness(vertices: np.ndarray, faces: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     """How far rays from the middles of the ``chosen [N]`` faces run inside the solid, against the normal: ``[N]``."""
     import mitsuba as mi
 
@@ -137,7 +137,7 @@ def thickness(vertices: np.ndarray, faces: np.ndarray, chosen: np.ndarray) -> np
     return free_ray_distance(mi.load_dict({"type": "scene", "solid": mesh}), corner.mean(axis=1), -normals, offset)
 
 
-def picture_of(scene: Scene, views: Sequence[View], faces: np.ndarray, values: np.ndarray) -> np.ndarray:
+def render_vertex_values(scene: Scene, views: Sequence[View], faces: np.ndarray, values: np.ndarray) -> np.ndarray:
     """``[B,H,W]`` per-vertex ``values [V]`` on the surface as it stands, at the pixel centres; NaN where nothing is
     hit."""
     import mitsuba as mi
@@ -147,7 +147,7 @@ def picture_of(scene: Scene, views: Sequence[View], faces: np.ndarray, values: n
     x, y = (mi.Float(a.ravel()) for a in np.meshgrid(centres, centres))
     pictures = []
     for view in views:
-        scene.look(view)
+        scene.set_view(view)
         ray, _ = scene.sensor.sample_ray(0, 0, mi.Point2f(x, y), mi.Point2f(0))
         hit = scene.scene.ray_intersect_preliminary(ray)
         found = np.array(hit.is_valid()).astype(bool)

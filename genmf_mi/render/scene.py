@@ -100,11 +100,11 @@ class Scene:
             "lights": bsdf.lights,
         }
 
-    def look(self, view: View) -> None:
+    def set_view(self, view: View) -> None:
         """Move the camera to ``view`` and turn the lights."""
         import mitsuba as mi
 
-        self.params[variant.sensor_key(self.sensor_id)] = mi.Transform4f(camera_to_world(view, self.distance))
+        self.params[variant.camera_pose_key(self.sensor_id)] = mi.Transform4f(camera_to_world(view, self.distance))
         turn = _rotation(1, view.light_turn[0]) @ _rotation(0, view.light_turn[1])
         for key, direction in self.lights.items():
             self.params[key] = mi.Vector3f(turn @ direction)
@@ -179,7 +179,7 @@ def load(
     if width != height:
         raise SceneError(f"the image of {xml} must be square, not {width} × {height}: set both to $resolution.")
     params = mi.traverse(scene)
-    needed = [f"{sensor.id()}.x_fov", variant.shape_key(holds, shape.id()), *variant.light_keys(shape.id())]
+    needed = [f"{sensor.id()}.x_fov", variant.geometry_key(holds, shape.id()), *variant.light_direction_keys(shape.id())]
     if missing := [key for key in needed if key not in params]:
         raise SceneError(
             f"{xml} has no parameter {missing[0]}: the sensor must be `perspective`, the shape {_SHAPE[holds]} that "

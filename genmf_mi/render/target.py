@@ -67,7 +67,7 @@ class Reference:
         """The views of the pictures, or else the scene's own."""
         return tuple(p.view for p in self.pictures) or self.scene.views
 
-    def look(self, views: Sequence[View], seed: int = 0, samples: int = 0) -> bridge.Buffers:
+    def render(self, views: Sequence[View], seed: int = 0, samples: int = 0) -> bridge.Buffers:
         """G_gt in ``grey``, D_t in ``depth``, N_t in ``normal``, the mask in ``coverage``; see
         :class:`bridge.Buffers`."""
         import torch
@@ -78,7 +78,7 @@ class Reference:
             buffers.coverage[i, 0] = torch.as_tensor(fitted[..., 3]).to(buffers.coverage)
         return buffers
 
-    def colour(self, views: Sequence[View], seed: int = 0, samples: int = 0) -> np.ndarray:
+    def render_colour(self, views: Sequence[View], seed: int = 0, samples: int = 0) -> np.ndarray:
         """``[B,H,W,3]`` linear RGB of the textured object under the two lights."""
         image = np.stack([self._channel(name, views, seed, samples) for name in (RED, GREEN, BLUE)], axis=-1)
         for i, fitted in self._fitted(views, bridge.render(self.scene, views, seed=seed, samples=samples)):
@@ -147,7 +147,7 @@ def subdivide(faces: np.ndarray, *fields: np.ndarray) -> tuple[np.ndarray, ...]:
     return split, *(np.concatenate([x, x[ends].mean(axis=1)]) for x in fields)
 
 
-def make(
+def build_reference(
     xml: Path,
     folder: Path,
     vertices: np.ndarray,
@@ -175,10 +175,10 @@ def make(
         normals=normals,
         attributes={ALBEDO: value(rgb), RED: rgb[:, 0], GREEN: rgb[:, 1], BLUE: rgb[:, 2]},
     )
-    return load(xml, folder, radius=radius, resolution=resolution, samples=samples, pictures=pictures)
+    return load_reference(xml, folder, radius=radius, resolution=resolution, samples=samples, pictures=pictures)
 
 
-def load(
+def load_reference(
     xml: Path,
     folder: Path,
     *,
@@ -187,7 +187,7 @@ def load(
     samples: int | None = None,
     pictures: tuple[Picture, ...] = (),
 ) -> Reference:
-    """The reference that :func:`make` left in ``folder``, at another resolution."""
+    """The reference that :func:`build_reference` left in ``folder``, at another resolution."""
     return Reference(
         scenes.load(xml, folder / FILE, radius=radius, resolution=resolution, samples=samples, attribute=ALBEDO),
         pictures,

@@ -14,24 +14,24 @@ INSTALL_LLVM = "install LLVM 17 or newer, e.g. `sudo apt-get install libllvm19`"
 
 
 # Keys under which `mi.traverse` exposes what the refinement changes; mitsuba 3.10 renames the mesh parameters.
-def vertex_key(shape_id: str) -> str:
+def vertex_positions_key(shape_id: str) -> str:
     return f"{shape_id}.vertex_positions"
 
 
-def shape_key(holds: str, shape_id: str) -> str:
+def geometry_key(holds: str, shape_id: str) -> str:
     """What says how the shape is, a ``mesh`` or a ``grid``."""
-    return vertex_key(shape_id) if holds == "mesh" else f"{shape_id}.grid"
+    return vertex_positions_key(shape_id) if holds == "mesh" else f"{shape_id}.grid"
 
 
-def face_key(shape_id: str) -> str:
+def faces_key(shape_id: str) -> str:
     return f"{shape_id}.faces"
 
 
-def light_keys(shape_id: str) -> tuple[str, str]:
+def light_direction_keys(shape_id: str) -> tuple[str, str]:
     return f"{shape_id}.bsdf.key", f"{shape_id}.bsdf.fill"
 
 
-def sensor_key(sensor_id: str) -> str:
+def camera_pose_key(sensor_id: str) -> str:
     return f"{sensor_id}.to_world"
 
 
