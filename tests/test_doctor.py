@@ -90,7 +90,7 @@ def test_fix_installs_what_is_missing(monkeypatch, capsys):
         lambda: [Check("LLVM", "ok" if installed else "missing", ""), Check("LPIPS weights", "ok", "")],
     )
     monkeypatch.setattr(doctor, "install_llvm", lambda: installed.append("llvm"))
-    monkeypatch.setattr(weights, "install", lambda: installed.append("weights"))
+    monkeypatch.setattr(doctor, "install", lambda: installed.append("weights"))
     assert doctor.doctor(fix=True) == 0
     assert installed == ["llvm"]
     assert doctor.doctor(fix=True) == 0
