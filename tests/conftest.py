@@ -17,7 +17,7 @@ import pytest
 from jaxtyping import install_import_hook
 
 # Shapes and types in the signatures of these packages are checked at every call.
-install_import_hook(["genmf_mi.losses", "genmf_mi.render"], "beartype.beartype")
+install_import_hook(["genmf_mi.losses", "genmf_mi.render"], "typechecker.check")
 
 
 @pytest.fixture(scope="session")

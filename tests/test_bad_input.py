@@ -169,7 +169,9 @@ class TestMachine:
     def test_no_lpips_weights(self, arguments, capsys, monkeypatch):
         toy()
         monkeypatch.setenv("GENMF_LPIPS_WEIGHTS", "no weights")
-        monkeypatch.setattr(weights, "missing", lambda: [n for n in weights.NETWORKS if not weights.weights_file(n).is_file()])
+        monkeypatch.setattr(
+            weights, "missing", lambda: [n for n in weights.NETWORKS if not weights.weights_file(n).is_file()]
+        )
         monkeypatch.setattr(prepare, "prepare", lambda *_, **__: pytest.fail("this should have been refused before"))
         assert cli.main(arguments) == 2
         line = said(capsys)

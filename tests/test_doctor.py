@@ -10,7 +10,6 @@ import pytest
 from genmf_mi.cli import doctor
 from genmf_mi.cli.doctor import Check
 from genmf_mi.core.errors import SetupError
-from genmf_mi.losses import lpips_weights as weights
 
 
 @pytest.mark.parametrize(
