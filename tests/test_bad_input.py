@@ -25,7 +25,7 @@ from genmf_mi.render import scene, target, variant
 
 pytestmark = pytest.mark.usefixtures("workplace", "lpips_weights")
 
-DEFAULT = scene.find("default").read_text(encoding="utf-8")
+DEFAULT = scene.standalone_xml("default", "mesh.ply")
 BSDF = re.search(r"<bsdf.*</bsdf>", DEFAULT, re.DOTALL).group()
 
 
