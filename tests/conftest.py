@@ -14,6 +14,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "2")
 os.environ.setdefault("MPLBACKEND", "Agg")
 
 import pytest
+from jaxtyping import install_import_hook
+
+# Shapes and types in the signatures of these packages are checked at every call.
+install_import_hook(["genmf_mi.losses", "genmf_mi.render"], "typechecker.check")
 
 
 @pytest.fixture(scope="session")

@@ -25,7 +25,7 @@ from genmf_mi.render import scene, target, variant
 
 pytestmark = pytest.mark.usefixtures("workplace", "lpips_weights")
 
-DEFAULT = scene.find("default").read_text(encoding="utf-8")
+DEFAULT = scene.standalone_xml("default", "mesh.ply")
 BSDF = re.search(r"<bsdf.*</bsdf>", DEFAULT, re.DOTALL).group()
 
 
@@ -169,7 +169,9 @@ class TestMachine:
     def test_no_lpips_weights(self, arguments, capsys, monkeypatch):
         toy()
         monkeypatch.setenv("GENMF_LPIPS_WEIGHTS", "no weights")
-        monkeypatch.setattr(weights, "missing", lambda: [n for n in weights.NETWORKS if not weights._file(n).is_file()])
+        monkeypatch.setattr(
+            weights, "missing", lambda: [n for n in weights.NETWORKS if not weights.weights_file(n).is_file()]
+        )
         monkeypatch.setattr(prepare, "prepare", lambda *_, **__: pytest.fail("this should have been refused before"))
         assert cli.main(arguments) == 2
         line = said(capsys)

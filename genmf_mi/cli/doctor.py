@@ -17,6 +17,7 @@ from typing import Literal
 
 from genmf_mi.core.errors import GenmfError, SetupError
 from genmf_mi.losses import lpips_weights as weights
+from genmf_mi.losses.lpips_conversion import install
 from genmf_mi.render import variant
 
 LLVM_PACKAGE = "libllvm19"
@@ -167,7 +168,7 @@ def _mend(missing: set[str], *, quiet: bool) -> bool:
     """Install what is missing and can be installed; whether anything was."""
     steps = {
         "LLVM": (f"Installing {LLVM_PACKAGE} ...", install_llvm),
-        "LPIPS weights": ("Fetching the LPIPS weights (64 MB) ...", weights.install),
+        "LPIPS weights": ("Fetching the LPIPS weights (64 MB) ...", install),
     }
     for name in missing & set(steps):
         message, step = steps[name]

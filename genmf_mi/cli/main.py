@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
@@ -220,7 +220,19 @@ def _convert(arguments: list[str]) -> int | None:
 
 
 def _scene(arguments: list[str]) -> int:
-    from genmf_mi.render.scene import author
+    from genmf_mi.assets import samples
+    from genmf_mi.render.scene import standalone_xml
+
+    def author(asset: str, mesh: Path | None = None) -> int:
+        """Print a scene file for an asset, to edit and hand back with ``--scene``.
+
+        Args:
+            asset: A file or the name of a bundled sample.
+            mesh: What to name as the mesh in it; NAME.ply if not given. A refinement puts its own mesh there.
+        """
+        name = samples.resolve(asset).stem
+        print(standalone_xml(name, mesh or f"{name}.ply"), end="")
+        return 0
 
     return _parse(author, "scene", arguments)
 
@@ -238,9 +250,19 @@ def _stress(arguments: list[str]) -> int:
 
 
 def _weights(arguments: list[str]) -> int:
-    from genmf_mi.losses import lpips_weights as weights
+    from genmf_mi.losses.lpips_conversion import install
 
-    return weights.main(arguments)
+    def weights(source: Annotated[Path | None, tyro.conf.arg(name="from")] = None, force: bool = False) -> int:
+        """Install the LPIPS weights.
+
+        Args:
+            source: Archive, .ckpt file or folder; fetched if not given.
+            force: Convert again even if they are installed.
+        """
+        print(f"LPIPS weights in {install(source, force=force)}")
+        return 0
+
+    return _parse(weights, "weights", arguments)
 
 
 def _doctor(arguments: list[str]) -> int:

@@ -1,2 +1,2 @@
-"""Losses as pure functions of images: ``f(image, reference, mask) -> scalar`` (GenMF, sections on appearance and
-regularisation)."""
+"""Losses as pure functions of images and fields: ``f(image, reference, mask) -> scalar`` (GenMF, sections on appearance
+and regularisation)."""

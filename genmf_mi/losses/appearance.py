@@ -1,45 +1,44 @@
-"""How far the grey look of the part is from the grey value of the textured object.
+"""How far the rendered grey image of the part is from that of the textured object.
 
-All images are torch tensors ``[B,1,H,W]`` in 0..1, encoded for a screen (:func:`encode`); masks ``[B,1,H,W]`` in
-0..1. Statistics and averages are taken inside the mask, each image of the batch on its own. Functions return a
-scalar, the mean over the batch, unless they say otherwise.
+All images are torch tensors ``[B,1,H,W]`` in 0..1, sRGB-encoded (:func:`genmf_mi.core.colour.to_srgb`); masks
+``[B,1,H,W]`` in 0..1. Statistics and averages are taken inside the mask, each image of the batch on its own. Functions
+return a scalar, the mean over the batch, unless they say otherwise.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor
 
-if TYPE_CHECKING:
-    from torch import Tensor
+from genmf_mi.core.colour import to_srgb
+from genmf_mi.losses.shapes import GreyImages, Scalar
 
 L1_KNEE = 1e-3
 """Differences well below this weigh quadratically: round-off must not pull with the full force of |x|."""
 
 
-def encode(linear: Tensor) -> Tensor:
-    """Linear light to what a screen is sent (sRGB, IEC 61966-2-1), any shape; values below 0 become 0.
-
-    Rendering is linear; comparing is not. LPIPS and SSIM are made for encoded images, and so are eyes: in linear
-    light a dark blue window in a black door differs by 0.02 and is lost, encoded by 0.15.
-    """
-    import torch
-
-    x = linear.clamp_min(0)
-    return torch.where(x <= 0.0031308, 12.92 * x, 1.055 * x.clamp_min(0.0031308) ** (1 / 2.4) - 0.055)
-
-
-def masked_mean(x: Tensor, mask: Tensor) -> Tensor:
+def masked_mean(x: Float[Tensor, "B C H W"], mask: GreyImages) -> Scalar:
     """Mean of ``x [B,C,H,W]`` inside ``mask [B,1,H,W]``, then over channels and the batch."""
     inside = mask.sum(dim=(2, 3)).clamp_min(1e-6)
     return ((x * mask).sum(dim=(2, 3)) / inside).mean()
 
 
-def align_srgb(grey: Tensor, coverage: Tensor, reference: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
-    """Ĝ and G_gt as they are compared: equal exposure, encoded for a screen, aligned; both 0 outside of the mask.
+def align_srgb(
+    grey: GreyImages,
+    coverage: GreyImages,
+    reference: GreyImages,
+    mask: GreyImages,
+) -> tuple[GreyImages, GreyImages]:
+    """Ĝ and G_gt as they are compared: equal exposure, sRGB-encoded, aligned; both 0 outside of the mask.
 
     grey, reference: linear, weighted by their coverage and mask as they come from the renderer. The exposure is matched
     in linear light first, because a change of it is not affine in encoded values. A pixel on the rim is encoded as the
-    colour of the object there and weighted by the mask again, in both images alike.
+    colour of the object at that place and weighted by the mask again, in both images alike.
+
+    Rendering is linear; the comparison is not. LPIPS and SSIM are made for encoded images, and so are eyes: in linear
+    light a dark blue window in a black door differs by 0.02 and is lost, encoded by 0.15.
     """
 
     def own_colour(x: Tensor, weight: Tensor) -> Tensor:
@@ -50,11 +49,11 @@ def align_srgb(grey: Tensor, coverage: Tensor, reference: Tensor, mask: Tensor) 
     exposure = (target * mask).sum(dim=(2, 3), keepdim=True) / (part * mask).sum(dim=(2, 3), keepdim=True).clamp_min(
         1e-6 * inside
     )
-    target = encode(target)
-    return align(encode(part * exposure), target, mask), target * mask
+    target = to_srgb(target)
+    return align(to_srgb(part * exposure), target, mask), target * mask
 
 
-def align(grey: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
+def align(grey: GreyImages, reference: GreyImages, mask: GreyImages) -> GreyImages:
     """Ĝ: ``grey`` with the mean and variance of ``reference`` inside the mask, 0 outside; ``[B,1,H,W]``.
 
     GenMF, mean–variance normalisation. It removes what one exposure and one contrast can explain, so that a different
@@ -71,19 +70,17 @@ def align(grey: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
     return ((grey - mean) / deviation * target_deviation + target_mean) * mask
 
 
-def grey_l1(aligned: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
+def grey_l1(aligned: GreyImages, reference: GreyImages, mask: GreyImages) -> Scalar:
     """L_grayL1: mean absolute difference, rounded off within ``L1_KNEE`` of zero (a Charbonnier penalty)."""
     return masked_mean(((aligned - reference).square() + L1_KNEE**2).sqrt() - L1_KNEE, mask)
 
 
-def ssim_loss(image: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
-    """1 − SSIM inside the mask (Wang et al. 2004), with a uniform 7 × 7 window and data range 1, as scikit-image has
-    it.
+def ssim_loss(image: GreyImages, reference: GreyImages, mask: GreyImages) -> Scalar:
+    """1 − SSIM inside the mask (Wang et al. 2004), with a uniform 7 × 7 window and data range 1, as in
+    scikit-image.
 
     Not one of GenMF's terms. L1 and LPIPS say little about small ripples on what should be plain; this does.
     """
-    import torch.nn.functional as F
-
     window, c1, c2 = 7, 0.01**2, 0.03**2
     unbiased = window**2 / (window**2 - 1)
 
@@ -97,38 +94,32 @@ def ssim_loss(image: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
     return masked_mean(1 - similarity, mask)
 
 
-def gradient_magnitude(grey: Tensor) -> Tensor:
+def gradient_magnitude(grey: GreyImages) -> GreyImages:
     """Sobel gradient magnitude of ``[B,1,H,W]``, such that a step from 0 to 1 gives 1, clipped to 0..1."""
     x, y = sobel(grey)
     return (2 * (x.square() + y.square() + 1e-12).sqrt()).clamp(0, 1)
 
 
-def sobel(x: Tensor) -> tuple[Tensor, Tensor]:
+def sobel(x: GreyImages) -> tuple[GreyImages, GreyImages]:
     """Horizontal and vertical Sobel derivatives of ``[B,1,H,W]``, per pixel (kernel sum 8), zero at the border."""
-    import torch
-    import torch.nn.functional as F
-
     kernel = torch.tensor([[-1.0, 0.0, 1.0], [-2.0, 0.0, 2.0], [-1.0, 0.0, 1.0]], dtype=x.dtype, device=x.device) / 8
     both = F.conv2d(x, torch.stack([kernel, kernel.T])[:, None], padding=1)
     return both[:, :1], both[:, 1:]
 
 
-def interior(mask: Tensor, pixels: int = 1) -> Tensor:
+def interior(mask: GreyImages, pixels: int = 1) -> GreyImages:
     """The mask where the object fills whole pixels, eroded by ``pixels``; 0 or 1."""
-    import torch.nn.functional as F
-
     full = (mask > 0.999).to(mask.dtype)
     return -F.max_pool2d(-full, 2 * pixels + 1, stride=1, padding=pixels)
 
 
-def gradient_match(aligned: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
+def gradient_match(aligned: GreyImages, reference: GreyImages, mask: GreyImages) -> Scalar:
     """L_geo = 0.6 L_full + 0.4 L_half with L = L_mag + 0.5 L_dir on Sobel gradients.
 
     L_mag is the mean absolute difference of the magnitudes, L_dir one minus the squared cosine between the gradients.
-    Gradients
-    of the silhouette are the same in both images and are left out: the mask is eroded by the footprint of the kernel.
+    Gradients of the silhouette are the same in both images and are left out: the mask is eroded by the footprint of the
+    kernel.
     """
-    import torch.nn.functional as F
 
     def at_scale(a: Tensor, b: Tensor, m: Tensor) -> Tensor:
         m = interior(m)
@@ -139,7 +130,7 @@ def gradient_match(aligned: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
     return 0.6 * at_scale(aligned, reference, mask) + 0.4 * at_scale(*half)
 
 
-def gradient_sign_penalty(aligned: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
+def gradient_sign_penalty(aligned: GreyImages, reference: GreyImages, mask: GreyImages) -> Scalar:
     """Guard beside L_dir, which squares the cosine and takes a dark line for a bright one.
 
     The mean of max(0, −cos) weighted by the reference's gradient magnitude, relative to its mean: zero where light
@@ -152,10 +143,8 @@ def gradient_sign_penalty(aligned: Tensor, reference: Tensor, mask: Tensor) -> T
     return masked_mean(opposed * weight, inside) / masked_mean(weight, inside).clamp_min(1e-4)
 
 
-def _gradient_terms(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _gradient_terms(a: GreyImages, b: GreyImages) -> tuple[GreyImages, GreyImages, GreyImages]:
     """Per pixel: | |∇a| − |∇b| |, 1 − cos², max(0, −cos)."""
-    import torch
-
     # Gradients below this are round-off of a flat region and have no direction: the cosine fades to 0 there
     floor = 1e-3
     (ax, ay), (bx, by) = sobel(a), sobel(b)

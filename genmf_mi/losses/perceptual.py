@@ -5,21 +5,23 @@ activations of an ImageNet network are normalised to unit length at each pixel, 
 weighted per channel, averaged over pixels and summed over layers. AlexNet is cheap enough for a loss; VGG16 is for
 evaluation.
 
-Where several images meet one reference, compute ``features(reference)`` once and hand it over as the reference.
+Where several images are compared with one reference, compute ``features(reference)`` once and pass it as the
+reference.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor
 
 from genmf_mi.losses import lpips_weights as weights
 from genmf_mi.losses.lpips_weights import Network
-
-if TYPE_CHECKING:
-    import torch
-    from torch import Tensor
+from genmf_mi.losses.shapes import GreyImages
 
 # The published scaling of an RGB image in [-1, 1]. The shift is mean 0.485, 0.456, 0.406 brought to [-1, 1].
 _SHIFT = (-0.030, -0.088, -0.188)
@@ -35,20 +37,17 @@ class Features:
     """What LPIPS compares: per layer ``[B,C,h,w]``, unit length times the square root of the channel's weight."""
 
     network: Network
-    layers: tuple[Tensor, ...]
+    layers: tuple[Float[Tensor, "B _ _ _"], ...]
 
 
-def features(image: Tensor, network: Network = "alex") -> Features:
+def features(image: GreyImages, network: Network = "alex") -> Features:
     """The features of grey images ``[B,1,H,W]`` in 0..1; differentiable with respect to ``image``.
 
     Raises:
         SetupError: the weights are not installed.
     """
-    import torch
-    import torch.nn.functional as F
-
     convolutions, linear = _network(network, image.device)
-    layers = []
+    layers: list[Tensor] = []
     # The second channel is the constant of the scaling: inside the image it is one, in the zero padding it is not.
     x = torch.cat([image, torch.ones_like(image)], dim=1)
     if network == "alex":
@@ -65,8 +64,11 @@ def features(image: Tensor, network: Network = "alex") -> Features:
 
 
 def lpips(
-    image: Tensor | Features, reference: Tensor | Features, network: Network = "alex", mask: Tensor | None = None
-) -> Tensor:
+    image: Float[Tensor, "B 1 H W"] | Features,
+    reference: Float[Tensor, "#B 1 H W"] | Features,
+    network: Network = "alex",
+    mask: Float[Tensor, "#B 1 H W"] | None = None,
+) -> Float[Tensor, " _"]:
     """LPIPS of grey images ``[B,1,H,W]`` in 0..1 against a reference of the same size: ``[B]``, 0 for equal images.
 
     image: may be given by its :func:`features` too.
@@ -78,30 +80,30 @@ def lpips(
     Raises:
         SetupError: the weights are not installed.
     """
-    import torch.nn.functional as F
-
     if not isinstance(reference, Features):
         reference = features(reference, network)
     if not isinstance(image, Features):
         image = features(image, reference.network)
-    total = 0
+    layers: list[Tensor] = []
     for ours, theirs in zip(image.layers, reference.layers, strict=True):
         difference = (ours - theirs).square().sum(dim=1)
         if mask is None:
-            total = total + difference.mean(dim=(1, 2))
+            layers.append(difference.mean(dim=(1, 2)))
         else:
-            inside = F.adaptive_avg_pool2d(mask, difference.shape[1:])[:, 0]
-            total = total + (difference * inside).sum(dim=(1, 2)) / inside.sum(dim=(1, 2)).clamp_min(1e-12)
+            height, width = difference.shape[1:]
+            inside = F.adaptive_avg_pool2d(mask, (height, width))[:, 0]
+            layers.append((difference * inside).sum(dim=(1, 2)) / inside.sum(dim=(1, 2)).clamp_min(1e-12))
+    total = layers[0]
+    for layer in layers[1:]:
+        total = total + layer
     return total
 
 
-def _blocks(x: Tensor) -> Tensor:
+def _blocks(x: Float[Tensor, "B 2 H W"]) -> Float[Tensor, "B 32 _ _"]:
     """Images ``[B,2,H,W]``, zero-padded by 2, as blocks of 4 x 4 pixels: ``[B,32,(H+1)//4+1,(W+1)//4+1]``.
 
     A convolution of stride 4 becomes one of stride 1; its backward pass, the slowest of the network, is 5 times faster.
     """
-    import torch.nn.functional as F
-
     height, width = x.shape[2:]
     right, below = (4 * ((n + 1) // 4 + 1) - 2 - n for n in (width, height))
     return F.pixel_unshuffle(F.pad(x, (2, right, 2, below)), 4)
@@ -110,9 +112,6 @@ def _blocks(x: Tensor) -> Tensor:
 @lru_cache(maxsize=4)
 def _network(network: Network, device: torch.device) -> tuple[list[tuple[Tensor, Tensor]], list[Tensor]]:
     """Frozen ``(weight, bias)`` of the convolutions, the first one for (grey, one), and roots of the linear layers."""
-    import torch
-    import torch.nn.functional as F
-
     tensors = weights.load(network)
     first = tensors["conv0.weight"]
     # RGB channel c sees (2 grey - 1 - shift_c) / scale_c: a convolution of (grey, one) says the same.

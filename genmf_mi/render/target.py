@@ -1,30 +1,40 @@
-"""What the part should look like: reference images of the textured object, and the teacher's depth and normal.
+"""The target: reference images of the textured object, and the teacher's depth and normal.
 
-The reference is rendered from the *initial* surface with the object's albedo on it, under the same lights, at the
-same rays as the
-part: an object of one colour is its own target to about 1e-6. G_gt is the HSV value of the textured object in
-linear light; the lights are grey, so it is max(R, G, B) of the linear albedo times the shading.
+The reference is rendered from the *initial* surface with the object's albedo on it, under the same lights and along the
+same rays as the part: an object of one colour is its own target to about 1e-6. G_gt is the HSV value of the textured
+object in linear light; the lights are grey, so it is max(R, G, B) of the linear albedo times the shading.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import torch
+from jaxtyping import Float, Float32, Int
+from numpy import ndarray
+from PIL import Image, UnidentifiedImageError
+from skimage import transform
 
 from genmf_mi.core.colour import to_linear, value
 from genmf_mi.core.errors import AssetError, ConfigError
 from genmf_mi.render import bridge
 from genmf_mi.render import scene as scenes
-from genmf_mi.render.scene import Scene, View
+from genmf_mi.render.scene import RenderSettings, Scene, View
+
+_transform: Any = transform  # its annotations are incomplete
 
 ALBEDO, RED, GREEN, BLUE = "vertex_albedo", "vertex_red", "vertex_green", "vertex_blue"
 FILE = "reference.ply"
 FINEST = 700_000
-"""The reference mesh is the part's mesh with every triangle split into four as often as this many faces allow, to hold
-the texture more finely than the part itself."""
+"""The reference mesh is the part's mesh with every triangle split into four as often as this many faces allow, so that
+it resolves the texture more finely than the part itself."""
+
+Albedo = Callable[[ndarray, ndarray], ndarray]
+"""From points and normals ``[N,3]`` in the normalised frame to linear RGB ``[N,3]``."""
 
 
 @dataclass(frozen=True)
@@ -35,25 +45,24 @@ class Picture:
     """
 
     view: View
-    rgba: np.ndarray
+    rgba: Float32[ndarray, "h w 4"]
 
-    def fitted(self, mask: np.ndarray) -> np.ndarray:
+    def fitted(self, mask: Float[ndarray, "H W"]) -> Float32[ndarray, "H W 4"]:
         """``[H,W,4]``: the picture moved and scaled so that its outline fills the bounding box of ``mask [H,W]``; its
         colour is multiplied by its coverage."""
-        from skimage.transform import resize
-
         (top, bottom), (left, right) = _extent(mask), _extent(mask.T)
         rows, columns = (slice(*_extent(a)) for a in (self.rgba[..., 3], self.rgba[..., 3].T))
         fitted = np.zeros((*mask.shape, 4), np.float32)
         cut = self.rgba[rows, columns].copy()
         cut[..., :3] *= cut[..., 3:]
-        fitted[top:bottom, left:right] = resize(cut, (bottom - top, right - left, 4), order=1, anti_aliasing=True)
+        size = (bottom - top, right - left, 4)
+        fitted[top:bottom, left:right] = _transform.resize(cut, size, order=1, anti_aliasing=True)
         return fitted
 
 
 @dataclass
 class Reference:
-    """The textured object, ready to be looked at from anywhere.
+    """The textured object, which can be rendered from any view.
 
     scene: around the subdivided initial mesh with its albedo as a vertex attribute.
     pictures: given images; from their views they replace the textured object.
@@ -67,33 +76,35 @@ class Reference:
         """The views of the pictures, or else the scene's own."""
         return tuple(p.view for p in self.pictures) or self.scene.views
 
-    def look(self, views: Sequence[View], seed: int = 0, samples: int = 0) -> bridge.Buffers:
+    def render(self, views: Sequence[View], seed: int = 0, samples: int = 0) -> bridge.Buffers:
         """G_gt in ``grey``, D_t in ``depth``, N_t in ``normal``, the mask in ``coverage``; see
         :class:`bridge.Buffers`."""
-        import torch
-
         buffers = bridge.render(self.scene, views, seed=seed, samples=samples)
+        _, _, coverage = buffers.geometry
         for i, fitted in self._fitted(views, buffers):
             buffers.grey[i, 0] = torch.as_tensor(value(fitted[..., :3])).to(buffers.grey)
-            buffers.coverage[i, 0] = torch.as_tensor(fitted[..., 3]).to(buffers.coverage)
+            coverage[i, 0] = torch.as_tensor(fitted[..., 3]).to(coverage)
         return buffers
 
-    def colour(self, views: Sequence[View], seed: int = 0, samples: int = 0) -> np.ndarray:
+    def render_colour(self, views: Sequence[View], seed: int = 0, samples: int = 0) -> Float32[ndarray, "B H W 3"]:
         """``[B,H,W,3]`` linear RGB of the textured object under the two lights."""
         image = np.stack([self._channel(name, views, seed, samples) for name in (RED, GREEN, BLUE)], axis=-1)
         for i, fitted in self._fitted(views, bridge.render(self.scene, views, seed=seed, samples=samples)):
             image[i] = fitted[..., :3]
         return image
 
-    def _fitted(self, views: Sequence[View], buffers: bridge.Buffers) -> Iterator[tuple[int, np.ndarray]]:
+    def _fitted(
+        self, views: Sequence[View], buffers: bridge.Buffers
+    ) -> Iterator[tuple[int, Float32[ndarray, "H W 4"]]]:
         """Index and fitted image of those views that have a picture, 0 outside of the outline of either."""
+        _, _, masks = buffers.geometry
         for i, view in enumerate(views):
             for picture in self.pictures:
                 if picture.view == view:
-                    coverage = buffers.coverage[i, 0].cpu().numpy()
+                    coverage = masks[i, 0].cpu().numpy()
                     yield i, picture.fitted(coverage) * coverage[..., None]
 
-    def _channel(self, attribute: str, views: Sequence[View], seed: int, samples: int) -> np.ndarray:
+    def _channel(self, attribute: str, views: Sequence[View], seed: int, samples: int) -> Float32[ndarray, "B H W"]:
         before, self.scene.bsdf.attribute = self.scene.bsdf.attribute, attribute
         try:
             return bridge.render(self.scene, views, seed=seed, samples=samples).grey[:, 0].cpu().numpy()
@@ -107,8 +118,6 @@ def read_picture(text: str) -> Picture:
     Raises:
         ConfigError: not of that form. AssetError: no readable image, or nothing in it.
     """
-    from PIL import Image, UnidentifiedImageError
-
     path, _, angles = text.rpartition("@")
     try:
         view = View.parse(angles, ",")
@@ -130,12 +139,13 @@ def read_picture(text: str) -> Picture:
     return Picture(view, np.concatenate([to_linear(pixels[..., :3]).astype(np.float32), coverage[..., None]], axis=-1))
 
 
-def _extent(mask: np.ndarray) -> tuple[int, int]:
+def _extent(mask: Float[ndarray, "R C"]) -> tuple[int, int]:
+    """First and one past the last row in which the mask is more than half full."""
     rows = np.flatnonzero((mask > 0.5).any(axis=1))
     return int(rows[0]), int(rows[-1]) + 1
 
 
-def subdivide(faces: np.ndarray, *fields: np.ndarray) -> tuple[np.ndarray, ...]:
+def subdivide(faces: Int[ndarray, "F 3"], *fields: Float[ndarray, "V ..."]) -> tuple[ndarray, ...]:
     """Split every triangle into four at its edge midpoints: the new faces ``[4F,3]``, then every field ``[V,...]`` on
     the old and the new vertices."""
     count = len(fields[0])
@@ -147,23 +157,24 @@ def subdivide(faces: np.ndarray, *fields: np.ndarray) -> tuple[np.ndarray, ...]:
     return split, *(np.concatenate([x, x[ends].mean(axis=1)]) for x in fields)
 
 
-def make(
+def build_reference(
     xml: Path,
     folder: Path,
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    normals: np.ndarray,
-    albedo,
-    *,
-    radius: float,
-    resolution: int | None = None,
-    samples: int | None = None,
+    vertices: Float[ndarray, "V 3"],
+    faces: Int[ndarray, "F 3"],
+    normals: Float[ndarray, "V 3"],
+    albedo: Albedo,
+    settings: RenderSettings,
     pictures: tuple[Picture, ...] = (),
 ) -> Reference:
-    """Build the reference from the initial mesh.
+    """Write the mesh of the reference to ``folder`` and load it.
 
-    vertices, normals: ``[V,3]`` normalised frame, as the part is rendered before refinement; faces ``[F,3]``.
-    albedo: function from points ``[N,3]`` and normals ``[N,3]`` (normalised frame) to linear RGB ``[N,3]``.
+    xml: the scene file. vertices, normals: of the initial mesh, ``[V,3]`` in the normalised frame, as the part is
+    rendered before refinement; faces ``[F,3]``. pictures: see :class:`Reference`.
+
+    Raises:
+        OutputError: the mesh cannot be written.
+        SceneError: as :func:`genmf_mi.render.scene.load`.
     """
     while 4 * len(faces) <= FINEST:
         faces, vertices, normals = subdivide(faces, vertices, normals)
@@ -175,20 +186,13 @@ def make(
         normals=normals,
         attributes={ALBEDO: value(rgb), RED: rgb[:, 0], GREEN: rgb[:, 1], BLUE: rgb[:, 2]},
     )
-    return load(xml, folder, radius=radius, resolution=resolution, samples=samples, pictures=pictures)
+    return load_reference(xml, folder, settings, pictures)
 
 
-def load(
-    xml: Path,
-    folder: Path,
-    *,
-    radius: float,
-    resolution: int | None = None,
-    samples: int | None = None,
-    pictures: tuple[Picture, ...] = (),
-) -> Reference:
-    """The reference that :func:`make` left in ``folder``, at another resolution."""
-    return Reference(
-        scenes.load(xml, folder / FILE, radius=radius, resolution=resolution, samples=samples, attribute=ALBEDO),
-        pictures,
-    )
+def load_reference(xml: Path, folder: Path, settings: RenderSettings, pictures: tuple[Picture, ...] = ()) -> Reference:
+    """The reference whose mesh :func:`build_reference` wrote to ``folder``, at another resolution.
+
+    Raises:
+        SceneError: as :func:`genmf_mi.render.scene.load`.
+    """
+    return Reference(scenes.load(xml, folder / FILE, **asdict(settings), attribute=ALBEDO), pictures)

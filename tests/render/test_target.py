@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -9,24 +10,14 @@ import pytest
 import torch
 import trimesh
 from PIL import Image
+from reference_pictures import ball, picture
 
-from genmf_mi.assets.asset import Asset
 from genmf_mi.core.colour import to_linear
-from genmf_mi.core.config import RefineConfig
 from genmf_mi.core.errors import AssetError, ConfigError
-from genmf_mi.pipeline import evaluation as evaluate
-from genmf_mi.pipeline import problem as prepare
 from genmf_mi.render import bridge, scene, target, variant
-from genmf_mi.render.scene import View
+from genmf_mi.render.scene import RenderSettings, View
 
 VIEWS = (View(10, 20), View(200, -30))
-
-
-def ball(subdivisions: int = 3) -> tuple[np.ndarray, np.ndarray]:
-    """Slightly uneven, so that no symmetry hides a mistake."""
-    mesh = trimesh.creation.icosphere(subdivisions)
-    directions = np.array(mesh.vertices)
-    return directions * (0.85 + 0.1 * np.sin(3 * directions[:, :1] + directions[:, 1:2])), np.array(mesh.faces)
 
 
 class TestSubdivide:
@@ -57,16 +48,16 @@ class TestSubdivide:
         assert len(points) == 4 + 5 and len(fine) == 8
 
 
-def made(folder: Path, albedo, monkeypatch, pictures: tuple = (), **options) -> tuple[scene.Scene, target.Reference]:
+def part_and_reference(folder: Path, albedo, monkeypatch, pictures: tuple = ()) -> tuple[scene.Scene, target.Reference]:
     """The part and its reference; the reference's triangles are split twice."""
     variant.use("cpu")
     vertices, faces = ball(5)
     monkeypatch.setattr(target, "FINEST", 16 * len(faces))
-    xml, options = scene.find("default"), {"radius": 0.95, "resolution": 96, "samples": 16, **options}
+    xml, settings = scene.find("default"), RenderSettings(radius=0.95, resolution=96, samples=16)
     normals = bridge.write_ply(folder / "part.ply", vertices, faces)
-    reference = target.make(xml, folder, vertices, faces, normals, albedo, pictures=pictures, **options)
+    reference = target.build_reference(xml, folder, vertices, faces, normals, albedo, settings, pictures)
     assert len(trimesh.load(folder / target.FILE, process=False).faces) == 16 * len(faces)
-    return scene.load(xml, folder / "part.ply", **options), reference
+    return scene.load(xml, folder / "part.ply", **asdict(settings)), reference
 
 
 def plain(rgb: tuple[float, float, float]):
@@ -76,8 +67,8 @@ def plain(rgb: tuple[float, float, float]):
 class TestReference:
     def test_an_object_of_one_colour_is_its_own_target(self, tmp_path, monkeypatch):
         """Pixel by pixel, though the two meshes differ in their number of triangles."""
-        part, reference = made(tmp_path, plain((0.2, 0.7, 0.4)), monkeypatch)
-        ours, theirs = bridge.render(part, VIEWS, seed=4), reference.look(VIEWS, seed=4)
+        part, reference = part_and_reference(tmp_path, plain((0.2, 0.7, 0.4)), monkeypatch)
+        ours, theirs = bridge.render(part, VIEWS, seed=4), reference.render(VIEWS, seed=4)
         assert (0.7 * ours.grey - theirs.grey).abs().max() < 1e-6
         assert (ours.normal - theirs.normal).abs().max() < 1e-5
         assert (ours.depth - theirs.depth).abs().max() < 5e-6
@@ -89,16 +80,16 @@ class TestReference:
         def two_tone(points, normals):
             return np.where(points[:, 1:2] > 0, np.float32([0.9, 0.1, 0.3]), np.float32([0.1, 0.5, 0.2]))
 
-        part, reference = made(tmp_path, two_tone, monkeypatch)
+        part, reference = part_and_reference(tmp_path, two_tone, monkeypatch)
         view = View(0, 0)
-        shading, seen = bridge.render(part, [view]).grey[0, 0].numpy(), reference.look([view])
-        grey, colour = seen.grey[0, 0].numpy(), reference.colour([view])[0]
+        shading, seen = bridge.render(part, [view]).grey[0, 0].numpy(), reference.render([view])
+        grey, colour = seen.grey[0, 0].numpy(), reference.render_colour([view])[0]
         upper, lower = np.s_[20:44, 20:76], np.s_[52:76, 20:76]  # the middle rows are blurred by the fine triangles
         for rows, value in ((upper, 0.9), (lower, 0.5)):
             np.testing.assert_allclose(grey[rows], value * shading[rows], atol=2e-6)
         np.testing.assert_allclose(colour[upper], shading[upper][..., None] * [0.9, 0.1, 0.3], atol=1e-5)
         np.testing.assert_allclose(colour[lower], shading[lower][..., None] * [0.1, 0.5, 0.2], atol=1e-5)
-        np.testing.assert_array_equal(reference.look([view]).grey, seen.grey)  # looking at colours leaves no trace
+        np.testing.assert_array_equal(reference.render([view]).grey, seen.grey)  # rendering colours leaves no trace
 
     def test_albedo_is_asked_at_points_with_their_normals(self, tmp_path, monkeypatch):
         asked = []
@@ -107,28 +98,18 @@ class TestReference:
             asked.append((points, normals))
             return plain((1, 1, 1))(points, normals)
 
-        made(tmp_path, albedo, monkeypatch)
+        part_and_reference(tmp_path, albedo, monkeypatch)
         ((points, normals),) = asked
         assert points.shape == normals.shape
         assert ((points * normals).sum(axis=1) > 0).all()
 
     def test_at_another_resolution(self, tmp_path, monkeypatch):
-        _, reference = made(tmp_path, plain((0.2, 0.7, 0.4)), monkeypatch)
-        small = target.load(scene.find("default"), tmp_path, radius=0.95, resolution=48, samples=64)
-        fine, coarse = reference.look(VIEWS, samples=64).grey, small.look(VIEWS).grey
+        _, reference = part_and_reference(tmp_path, plain((0.2, 0.7, 0.4)), monkeypatch)
+        small = target.load_reference(scene.find("default"), tmp_path, RenderSettings(0.95, resolution=48, samples=64))
+        fine, coarse = reference.render(VIEWS, samples=64).grey, small.render(VIEWS).grey
         assert coarse.shape[-1] == 48
         assert (torch.nn.functional.avg_pool2d(fine, 2) - coarse).abs().mean() < 2e-3
         assert small.views == reference.views == reference.scene.views
-
-
-def picture(path: Path, size: tuple[int, int], box: tuple[int, int, int, int], *, mode: str = "RGBA") -> Path:
-    """Bluish, with an object at ``box`` (left, top, right, bottom): red in its left half, grey in its right."""
-    left, top, right, bottom = box
-    pixels = np.full((*size[::-1], 4), (40, 60, 200, 0), np.uint8)
-    pixels[top:bottom, left:right] = (128, 128, 128, 255)
-    pixels[top:bottom, left : (left + right) // 2] = (255, 20, 20, 255)
-    Image.fromarray(pixels).convert(mode).save(path)
-    return path
 
 
 class TestPicture:
@@ -184,16 +165,16 @@ class TestPicture:
 class TestReferenceFromPictures:
     def test_replaces_the_object_in_its_view_only(self, tmp_path, monkeypatch):
         pictured = target.read_picture(f"{picture(tmp_path / 'a.png', (200, 150), (30, 20, 110, 120))}@10,20")
-        part, reference = made(tmp_path, plain((1, 1, 1)), monkeypatch, pictures=(pictured,))
+        part, reference = part_and_reference(tmp_path, plain((1, 1, 1)), monkeypatch, pictures=(pictured,))
         assert reference.views == (View(10, 20),)
-        seen, shading = reference.look(VIEWS, seed=2), bridge.render(part, VIEWS, seed=2)
+        seen, shading = reference.render(VIEWS, seed=2), bridge.render(part, VIEWS, seed=2)
         assert (seen.grey[1] - shading.grey[1]).abs().max() < 5e-6
         inside = seen.coverage[0, 0] == 1
         assert set(np.round(seen.grey[0, 0][inside & (torch.arange(96) < 40)].numpy(), 2)) == {1.0}
         right = seen.grey[0, 0][inside & (torch.arange(96) > 56)]
         np.testing.assert_allclose(right, to_linear(np.array(128 / 255)), atol=0.02)
         assert (seen.grey[0, 0][shading.coverage[0, 0] == 0] == 0).all()
-        colour = reference.colour(VIEWS[:1])[0]
+        colour = reference.render_colour(VIEWS[:1])[0]
         np.testing.assert_allclose(colour[48, 30], to_linear(np.array([255, 20, 20]) / 255), atol=0.02)
 
     def test_beyond_the_outline_of_the_picture_nothing_is_compared(self, tmp_path, monkeypatch):
@@ -202,33 +183,8 @@ class TestReferenceFromPictures:
         pixels = np.where((np.abs(x) + np.abs(y) < 38)[..., None], (255, 255, 255, 255), (0, 0, 0, 0)).astype(np.uint8)
         Image.fromarray(pixels).save(tmp_path / "diamond.png")
         read = target.read_picture(f"{tmp_path / 'diamond.png'}@10,20")
-        part, reference = made(tmp_path, plain((1, 1, 1)), monkeypatch, pictures=(read,))
-        seen, whole = reference.look(VIEWS[:1]), bridge.render(part, VIEWS[:1]).coverage
+        part, reference = part_and_reference(tmp_path, plain((1, 1, 1)), monkeypatch, pictures=(read,))
+        seen, whole = reference.render(VIEWS[:1]), bridge.render(part, VIEWS[:1]).coverage
         assert 0.5 < seen.coverage.sum() / whole.sum() < 0.8
         assert (seen.coverage <= whole + 1e-6).all()
         np.testing.assert_allclose(seen.grey, seen.coverage, atol=0.02)
-
-    def test_flow_with_an_untextured_mesh(self, tmp_path, monkeypatch):
-        """From a mesh of one colour and two pictures to all that the refinement works on."""
-        variant.use("cpu")
-        monkeypatch.setattr(evaluate, "RESOLUTION", 64)
-        vertices, faces = ball()
-        asset = Asset.from_arrays("plain", vertices, faces)
-        config = RefineConfig(max_faces=2000, edge_mm=8.0, resolution=64)
-        with pytest.raises(AssetError, match="--reference"):
-            prepare.prepare(asset, config, scene.find("default"), tmp_path)
-        path = picture(tmp_path / "a.png", (200, 150), (30, 20, 110, 120))
-        piece = prepare.prepare(asset, config, scene.find("default"), tmp_path,
-                                references=(f"{path}@0,0", f"{path}@90,10"))  # fmt: skip
-        assert piece.reference.views == piece.judged_reference.views == (View(0, 0), View(90, 10))
-        assert np.ptp(piece.brightness) < 1e-6
-        grey = piece.reference.look([View(90, 10)]).grey[0, 0]
-        assert grey[32, 16] > 0.95 and grey[32, 48] < 0.3
-
-    def test_a_bad_picture_is_refused_before_the_work(self, tmp_path, monkeypatch):
-        from genmf_mi.mesh import solid
-
-        monkeypatch.setattr(solid, "solidify", lambda asset: pytest.fail("the pictures should have been read before"))
-        with pytest.raises(AssetError, match="cannot read"):
-            prepare.prepare(Asset.from_arrays("plain", *ball()), RefineConfig(), scene.find("default"), tmp_path,
-                            references=(f"{tmp_path / 'nowhere.png'}@0,0",))  # fmt: skip

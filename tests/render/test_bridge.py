@@ -7,27 +7,16 @@ import pytest
 import torch
 import trimesh
 from PIL import Image
+from render_shapes import loaded, lumpy, seamless
 from scipy.ndimage import binary_erosion, gaussian_filter
 
 from genmf_mi.assets import asset
-from genmf_mi.core.errors import OutputError
 from genmf_mi.core.frame import Frame
 from genmf_mi.mesh import solid
-from genmf_mi.render import bridge, scene, variant
+from genmf_mi.render import bridge, variant
 from genmf_mi.render.scene import View
 
 VIEWS = (View(20, 10), View(150, -25))
-
-
-def lumpy(directions: np.ndarray) -> np.ndarray:
-    """A shape without symmetry, around unit ``directions``."""
-    x, y, z = directions.T
-    return directions * (0.75 + 0.12 * np.sin(3 * x + 1) * np.cos(4 * y) + 0.05 * z * x)[:, None]
-
-
-def seamless() -> tuple[np.ndarray, np.ndarray]:
-    ball = trimesh.creation.icosphere(4)
-    return lumpy(ball.vertices), np.asarray(ball.faces)
 
 
 def with_seams(folder) -> tuple[np.ndarray, np.ndarray]:
@@ -49,16 +38,6 @@ def with_seams(folder) -> tuple[np.ndarray, np.ndarray]:
     welded = solid.solidify(loaded.name, loaded.vertices, loaded.faces)
     assert len(welded.vertices) <= len(loaded.vertices) - rows
     return Frame.of(welded.vertices, 100.0).normalise(welded.vertices), welded.faces
-
-
-def loaded(folder, vertices: np.ndarray, faces: np.ndarray, **options) -> scene.Scene:
-    bridge.write_ply(folder / "part.ply", vertices, faces)
-    return scene.load(
-        scene.find("default"),
-        folder / "part.ply",
-        radius=float(np.linalg.norm(vertices, axis=1).max()),
-        **{"resolution": 96, "samples": 16, **options},
-    )
 
 
 @pytest.fixture(scope="module", params=["seamless", "with seams"])
@@ -209,74 +188,14 @@ def test_no_ray_slips_through(shape):
         assert seen.normal.norm(dim=1, keepdim=True)[inside].min() > 0.93
 
 
-def test_picture_of_values_at_pixel_centres(shape):
-    """Pictures of the coordinates are points; seen from the camera they must lie at the centres of their pixels."""
-    part, vertices, faces, _ = shape
-    bridge.render(part, VIEWS[:1], vertices)
-    pictures = [bridge.picture_of(part, VIEWS, faces, coordinate) for coordinate in vertices.numpy().T]
-    points = np.stack(pictures, axis=-1)
-    half = np.tan(np.radians(28 / 2))
-    for view, picture in zip(VIEWS, points, strict=True):
-        camera = scene.camera_to_world(view, part.distance)
-        rows, columns = np.nonzero(np.isfinite(picture[..., 0]))
-        assert 1000 < len(rows) < 96 * 96 * 0.8
-        local = (picture[rows, columns] - camera[:3, 3]) @ camera[:3, :3]  # x to the left, y up, z along the view
-        x, y = 0.5 - local[:, 0] / local[:, 2] / half / 2, 0.5 - local[:, 1] / local[:, 2] / half / 2
-        np.testing.assert_allclose(96 * x, columns + 0.5, atol=0.01)
-        np.testing.assert_allclose(96 * y, rows + 0.5, atol=0.01)
-        assert np.isnan(picture[0]).all()
-        assert (np.linalg.norm(picture[rows, columns], axis=1) < np.linalg.norm(camera[:3, 3])).all()
-
-
-def test_gaps_between_two_plates(tmp_path):
-    """A bracket like a U: walls 0.3 thick, 0.8 apart."""
-    variant.use("cpu")
-    outer, inner = trimesh.creation.box([1.4, 1, 1]), trimesh.creation.box([0.8, 1, 2])
-    inner.apply_translation([0, 0.3, 0])
-    bracket = trimesh.boolean.difference([outer, inner])
-    part = loaded(tmp_path, bracket.vertices, bracket.faces)
-    points = np.array([[-0.7, 0.2, 0.1], [-0.7, 0.2, 0.1], [-0.4, 0.2, 0.1], [-0.4, 0.2, 0.1]])
-    directions = np.array([[-1.0, 0, 0], [1, 0, 0], [-1, 0, 0], [1, 0, 0]])
-    np.testing.assert_allclose(
-        bridge.free_ray_distance(part.scene, points, directions), [np.inf, 0.3, 0.3, 0.8], rtol=1e-5
-    )
-
-
-def test_written_mesh_reads_back(tmp_path):
-    vertices, faces = seamless()
-    values = np.random.default_rng(0).random(len(vertices)).astype(np.float32)
-    normals = bridge.write_ply(tmp_path / "a.ply", vertices, faces, attributes={"vertex_albedo": values})
-    read = trimesh.load(tmp_path / "a.ply", process=False)
-    np.testing.assert_allclose(read.vertices, vertices, atol=1e-7)
-    np.testing.assert_array_equal(read.faces, faces)
-    np.testing.assert_array_equal(read.metadata["_ply_raw"]["vertex"]["data"]["albedo_0"], values)
-    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-6)
-    corners = trimesh.Trimesh(vertices, faces, process=False)
-    angle_weighted = trimesh.geometry.weighted_vertex_normals(
-        len(vertices), faces, corners.face_normals, corners.face_angles, use_loop=False
-    )
-    np.testing.assert_allclose(normals, angle_weighted, atol=2e-3)
-
-    given = bridge.write_ply(tmp_path / "b.ply", vertices, faces, normals=-normals)
-    np.testing.assert_allclose(given, -normals, atol=1e-7)
-    data = trimesh.load(tmp_path / "b.ply", process=False).metadata["_ply_raw"]["vertex"]["data"]
-    np.testing.assert_allclose(np.column_stack([data[k] for k in ("nx", "ny", "nz")]), -normals, atol=1e-6)
-
-
-def test_mesh_that_cannot_be_written(tmp_path, full_disk):
-    variant.use("cpu")
-    with pytest.raises(OutputError, match="nowhere"):
-        bridge.write_ply(tmp_path / "nowhere" / "a.ply", *seamless())
-    with full_disk(), pytest.raises(OutputError, match=r"File too large.*TMPDIR"):
-        bridge.write_ply(tmp_path / "a.ply", *seamless())
-
-
 def test_no_geometry_buffers_with_silhouettes(shape, tmp_path):
     _, vertices, faces, _ = shape
     part = loaded(tmp_path, vertices.numpy(), faces, silhouettes=True)
     seen = bridge.render(part, VIEWS, vertices)
     assert seen.grey.shape == (2, 1, 96, 96)
     assert seen.depth is seen.normal is seen.coverage is None
+    with pytest.raises(ValueError, match="silhouettes"):
+        _ = seen.geometry
 
 
 def test_silhouettes_add_the_derivative_of_the_outline(shape, tmp_path):
@@ -286,13 +205,13 @@ def test_silhouettes_add_the_derivative_of_the_outline(shape, tmp_path):
     weight = torch.linspace(-1, 1, 96).double()
     motion, step = torch.tensor([1.0, 0, 0]).expand_as(vertices), 1e-2
 
-    def look(moved):
+    def weighted_sum(moved):
         return (bridge.render(part, [View(0, 0)], moved).grey.double() * weight).sum()
 
     with torch.no_grad():
-        expected = (look(vertices + step * motion) - look(vertices - step * motion)) / (2 * step)
+        expected = (weighted_sum(vertices + step * motion) - weighted_sum(vertices - step * motion)) / (2 * step)
     moved = vertices.clone().requires_grad_()
-    (gradient,) = torch.autograd.grad(look(moved), moved)
+    (gradient,) = torch.autograd.grad(weighted_sum(moved), moved)
     assert (gradient * motion).sum().item() == pytest.approx(expected.item(), rel=0.03)
 
 

@@ -1,23 +1,18 @@
-"""Scene files and the cameras and lights that they describe."""
+"""Loaded scenes: their cameras, lights and materials."""
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
-import genmf_mi.scenes
 import numpy as np
 import pytest
 import trimesh
 
-from genmf_mi.assets import samples
-from genmf_mi.core.errors import AssetError, SceneError
+from genmf_mi.core.errors import SceneError
 from genmf_mi.render import bridge, scene, variant
 from genmf_mi.render.scene import View
 
-FILES = sorted(Path(genmf_mi.scenes.__file__).parent.glob("*.xml"))
-BUNDLED = [path for path in FILES if not path.stem.endswith("_sdf")]
-DEFAULT = scene.find("default").read_text()
+BUNDLED = [path for path in sorted(scene.find("default").parent.glob("[a-z]*.xml")) if "_sdf" not in path.stem]
 
 
 @pytest.fixture(scope="module")
@@ -33,6 +28,10 @@ def ball(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def loaded(ball) -> scene.Scene:
     return scene.load(scene.find("default"), ball, radius=0.95, resolution=64, samples=16)
+
+
+DEFAULT = scene.standalone_xml("default", "mesh.ply")
+MATERIAL = DEFAULT[DEFAULT.index("        <bsdf") : DEFAULT.index("        </bsdf>") + len("        </bsdf>\n")]
 
 
 def position(azimuth: float, elevation: float) -> np.ndarray:
@@ -76,24 +75,6 @@ class TestBundledFiles:
         matrix = np.array(plain.sensors()[0].world_transform().matrix).reshape(4, 4)
         np.testing.assert_allclose(matrix, scene.camera_to_world(View(50, -15), 3.5), atol=1e-6)
 
-    def test_is_named_after_a_sample(self, path):
-        assert path.stem == "default" or path.stem in samples.NAMES
-        assert ElementTree.parse(path).getroot().find("default").get("name") == "mesh"
-
-
-@pytest.mark.parametrize("path", BUNDLED, ids=lambda path: path.stem)
-def test_grid_scenes_are_those_of_meshes(path):
-    """Camera, views, lights and material are the same; only the shape is another."""
-    mesh, grid = (ElementTree.parse(p).getroot() for p in (path, path.with_name(f"{path.stem}_sdf.xml")))
-    assert len(FILES) == 2 * len(BUNDLED)
-    for name in ("integrator", "sensor", "shape/bsdf"):
-        assert ElementTree.tostring(mesh.find(name)) == ElementTree.tostring(grid.find(name))
-    assert grid.find("shape").get("type") == "sdfgrid" and grid.find("shape").get("id") == mesh.find("shape").get("id")
-    defaults = [{e.get("name"): e.get("value") for e in root.iter("default")} for root in (mesh, grid)]
-    assert defaults[1].pop("grid") == defaults[0].pop("mesh").replace("mesh", "grid").replace(".ply", ".vol")
-    assert [defaults[1].pop(name) for name in ("half", "x", "y", "z")] == ["1", "0", "0", "0"]
-    assert defaults[0] == defaults[1]
-
 
 class TestLoaded:
     def test_the_ball_fills_the_frame(self, loaded):
@@ -104,7 +85,7 @@ class TestLoaded:
             assert (mask > 0.5).any(axis=0).sum() == pytest.approx(64 / scene.MARGIN, abs=1.5)
             assert (mask > 0.5).any(axis=1).sum() == pytest.approx(64 / scene.MARGIN, abs=1.5)
 
-    def test_looking_moves_the_camera(self, loaded):
+    def test_views_move_the_camera(self, loaded):
         """Depth and normal in the middle of the picture, for several views in a row."""
         views = [View(0, 0), View(90, 30), View(215, -50), View(0, 0)]
         seen = bridge.render(loaded, views)
@@ -123,17 +104,17 @@ class TestLoaded:
 
     def test_turned_lights(self, loaded):
         """By 30° to the right and 10° up, about the camera's axes; the next view has them back."""
-        before = {key: np.ravel(loaded.params[key]) for key in variant.light_keys(loaded.shape_id)}
-        loaded.look(View(70, 20, (30.0, 0.0)))
+        before = {key: np.ravel(loaded.params[key]) for key in variant.light_direction_keys(loaded.shape_id)}
+        loaded.set_view(View(70, 20, (30.0, 0.0)))
         for key, light in before.items():
             x, y, z = light
             s, c = np.sin(np.pi / 6), np.cos(np.pi / 6)
             np.testing.assert_allclose(np.ravel(loaded.params[key]), [c * x + s * z, y, c * z - s * x], atol=1e-6)
-        loaded.look(View(70, 20, (0.0, 90.0)))
+        loaded.set_view(View(70, 20, (0.0, 90.0)))
         for key, light in before.items():
             x, y, z = light
             np.testing.assert_allclose(np.ravel(loaded.params[key]), [x, -z, y], atol=1e-6)
-        loaded.look(View(70, 20))
+        loaded.set_view(View(70, 20))
         for key, light in before.items():
             np.testing.assert_allclose(np.ravel(loaded.params[key]), light, atol=1e-6)
 
@@ -151,9 +132,10 @@ class TestLoaded:
         text = MATERIAL.replace("0.8", "0.6").replace('"0.2"', '"0.1"').replace('"8"', '"5"').replace("camera", "world")
         weights = '<float name="key_weight" value="0.5"/><float name="fill_weight" value="0.375"/></bsdf>'
         path = tmp_path / "my.xml"
-        path.write_text(DEFAULT.replace(MATERIAL, text.replace("</bsdf>", weights)))
+        fill = DEFAULT.replace('value="0.8, 0.1, 0.6"', 'value="0.6, 0.1, 0.6"')
+        path.write_text(fill.replace(MATERIAL, text.replace("</bsdf>", weights)))
         mine = scene.load(path, ball, radius=0.95)
-        mine.look(View(0, 0, (20.0, 10.0)))
+        mine.set_view(View(0, 0, (20.0, 10.0)))
         assert mine.material == {
             "albedo": pytest.approx(0.6), "ambient": pytest.approx(0.1), "sharpness": 5, "key_weight": 0.5,
             "fill_weight": 0.375, "key": pytest.approx([-0.4, 0.5, 1]), "fill": pytest.approx([0.6, 0.1, 0.6]),
@@ -170,52 +152,6 @@ class TestLoaded:
         np.testing.assert_allclose(second, 0.25 * first, atol=1e-6)
 
 
-MATERIAL = DEFAULT[DEFAULT.index("        <bsdf") : DEFAULT.index("        </bsdf>") + len("        </bsdf>\n")]
-BROKEN = {
-    "empty": ("", "not readable as XML"),
-    "cut off": (DEFAULT[:700], "not readable as XML"),
-    "not text": ("\x00\x01", "not readable as XML"),
-    "no mesh": (DEFAULT.replace('name="mesh" value="mesh.ply"', 'name="shape" value="mesh.ply"'), 'name="mesh"'),
-    "another material": (DEFAULT.replace(MATERIAL, '<bsdf type="diffuse"/>'), "twolight"),
-    "one more material": (DEFAULT.replace("    <shape", '    <shape type="rectangle"/>\n    <shape'), "twolight"),
-    "a typing error": (DEFAULT.replace('"sharpness"', '"sharpnes"'), "sharpnes"),
-    "a bad value": (DEFAULT.replace('name="ambient" value="0.2"', 'name="ambient" value="2"'), "ambient"),
-    "no sensor": (DEFAULT[: DEFAULT.index("    <sensor")] + DEFAULT[DEFAULT.index("    <shape") :], "no sensor"),
-    "another integrator": (DEFAULT.replace('"monochrome"', '"path"'), "monochrome"),
-    "no integrator": (DEFAULT.replace('<integrator type="monochrome"/>', ""), "monochrome"),
-    "unknown plugin": (DEFAULT.replace('"multijitter"', '"jittery"'), "jittery"),
-    "orthographic": (DEFAULT.replace('"perspective"', '"orthographic"').replace(
-        '<float name="fov" value="28"/>', ""), "perspective"),
-    "a sphere": (DEFAULT.replace('type="ply"', 'type="sphere"').replace(
-        '<string name="filename" value="$mesh"/>', '<string name="id" value="$mesh"/>'), "mesh|ply"),
-    "no ids": (DEFAULT.replace(' id="camera"', "").replace(' id="object"', ""), "id"),
-    "shared material": (DEFAULT.replace(MATERIAL, '<ref id="m"/>').replace(
-        "    <shape", MATERIAL.replace("<bsdf", '<bsdf id="m"') + "    <shape"), "material"),
-    "not square": (DEFAULT.replace('name="height" value="$resolution"', 'name="height" value="50"'), "square"),
-    "no views": (DEFAULT.replace('"0:20 60:-10 120:20 180:-10 240:20 300:-10"', '""'), "views"),
-    "bad views": (DEFAULT.replace('"0:20 60', '"0:20:5 60'), "azimuth:elevation"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", BROKEN)
-def test_what_is_wrong_with_a_scene_is_said(name, ball, tmp_path):
-    text, message = BROKEN[name]
-    assert text != DEFAULT
-    path = tmp_path / "my.xml"
-    path.write_text(text)
-    with pytest.raises(SceneError, match=message) as caught:
-        scene.load(path, ball, radius=0.95)
-    assert "my.xml" in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
-def test_no_such_file(ball, tmp_path):
-    with pytest.raises(SceneError, match="no scene file"):
-        scene.load(tmp_path / "nowhere.xml", ball, radius=1.0)
-    with pytest.raises(SceneError, match="XML"):
-        scene.load(tmp_path, ball, radius=1.0)
-
-
 def test_views_as_text():
     assert scene.parse_views(" 0:20  -60.5:10\n") == (View(0, 20), View(-60.5, 10))
 
@@ -224,24 +160,3 @@ def test_views_as_text():
 def test_bad_views(text):
     with pytest.raises(SceneError, match="here"):
         scene.parse_views(text, "here")
-
-
-class TestAuthor:
-    def test_of_a_sample(self, capsys, tmp_path, ball):
-        """The sample's own file: its views, around another mesh."""
-        scene.author("globe", Path("a & b.ply"))
-        path = tmp_path / "my.xml"
-        path.write_text(capsys.readouterr().out)
-        assert scene.read_defaults(path) == scene.read_defaults(scene.find("globe")) | {"mesh": "a & b.ply"}
-        assert scene.load(path, ball, radius=0.95).views == scene.load(scene.find("globe"), ball, radius=0.95).views
-
-    def test_of_a_file(self, capsys, tmp_path):
-        asset = tmp_path / "my toy.glb"
-        asset.touch()
-        scene.author(str(asset))
-        (tmp_path / "my.xml").write_text(capsys.readouterr().out)
-        assert scene.read_defaults(tmp_path / "my.xml")["mesh"] == "my toy.ply"
-
-    def test_of_nothing(self):
-        with pytest.raises(AssetError):
-            scene.author("no such thing")

@@ -1,0 +1,51 @@
+"""Views: where the camera stands, and how the lights are turned."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from numpy import ndarray
+from scipy.spatial.transform import Rotation  # pyright: ignore[reportMissingTypeStubs]  (SciPy ships no types)
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera on a sphere around the object, and a turn of its lights.
+
+    azimuth, elevation: degrees; azimuth 0 looks at the +z side, 90 at the +x side.
+    light_turn: degrees by which both lights are turned about the camera's vertical and horizontal axis.
+    """
+
+    azimuth: float
+    elevation: float
+    light_turn: tuple[float, float] = (0.0, 0.0)
+
+    @classmethod
+    def parse(cls, text: str, separator: str) -> View:
+        """Azimuth and elevation from text. Raises ValueError."""
+        azimuth, elevation = map(float, text.split(separator))
+        if not (np.isfinite(azimuth) and abs(elevation) <= 90):
+            raise ValueError(text)
+        return cls(azimuth, elevation)
+
+    @property
+    def label(self) -> str:
+        return f"azimuth {self.azimuth:g}°, elevation {self.elevation:g}°"
+
+
+def camera_to_world(view: View, distance: float) -> Float64[ndarray, "4 4"]:
+    """Camera-to-world matrix of a camera at ``distance`` from the origin, which it faces.
+
+    Mitsuba's camera looks along +z with +x to its left.
+    """
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation("y", view.azimuth) @ rotation("x", -view.elevation) @ rotation("y", 180)
+    matrix[:3, 3] = -distance * matrix[:3, 2]
+    return matrix
+
+
+def rotation(axis: str, degrees: float) -> Float64[ndarray, "3 3"]:
+    """Rotation about ``x``, ``y`` or ``z``."""
+    return np.asarray(Rotation.from_euler(axis, degrees, degrees=True).as_matrix(), dtype=np.float64)
