@@ -49,16 +49,18 @@ def row(architecture: Architecture, shape: tuple[int, int, int], bfloat16: bool,
     """CPU seconds of a forward pass, with the backward pass to the weights, and to Φ."""
     network = StressNetwork(architecture)
     phi = 0.1 * torch.randn(1, 1, *shape)
+    # The time of the coarse solve is not included
+    coarse = torch.rand(1, 1, *shape) if architecture.coarse_mm else None
     if channels_last:
         network = network.to(memory_format=torch.channels_last_3d)  # pyright: ignore[reportCallIssue]  (not in torch's types)
         phi = phi.contiguous(memory_format=torch.channels_last_3d)
 
     def forward_and_backward() -> None:
-        compute.log_stress(network, phi, bfloat16).mean().backward()
+        compute.log_stress(network, phi, bfloat16, coarse).mean().backward()
 
     @torch.no_grad()
     def forward() -> None:
-        compute.log_stress(network, phi, bfloat16)
+        compute.log_stress(network, phi, bfloat16, coarse)
 
     result = {
         "parameters": sum(p.numel() for p in network.parameters()),
