@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from genmf_mi.pipeline.optimisation import CHECKPOINT_EVERY  # follows pipeline
+
 from benchmarks import record
 from benchmarks.inputs import Inputs
 from genmf_mi.core.config import PRESETS
@@ -13,7 +15,7 @@ from genmf_mi.core.progress import Progress
 from genmf_mi.pipeline.refinement import refine
 
 ITERATIONS = 300
-WINDOW = 25  # follows pipeline: the interval of the checkpoints
+WINDOW = CHECKPOINT_EVERY
 """Iterations after which a refinement returns freed memory; in between the heap swells and shrinks."""
 
 

@@ -10,22 +10,22 @@ from typing import Literal
 
 import numpy as np
 import torch
+from genmf_mi.geometry.laplacian import ImplicitDiffusion
+from genmf_mi.geometry.uniform_adam import percentile
 from skimage.measure import marching_cubes
 
 from benchmarks import record
 from benchmarks.inputs import Inputs
 from genmf_mi.core.frame import Frame
 from genmf_mi.core.timer import Timer
-from genmf_mi.geometry.displacement_bounds import STANDING
-from genmf_mi.geometry.mesh import ImplicitDiffusion, percentile
+from genmf_mi.geometry.displacement_bounds import BED_CONTACT_LIMIT
 from genmf_mi.geometry.mesh_distance import MeshDistance
 from genmf_mi.losses import stress as losses
 from genmf_mi.stress.data.reader import StressSamples
 from genmf_mi.stress.fem import simulation as fem
-from genmf_mi.stress.fem.statistics import summary
+from genmf_mi.stress.fem.statistics import SURFACE_BAND_MM, summary
 from genmf_mi.stress.model.network import window
 from genmf_mi.stress.model.predictor import Predictor
-from genmf_mi.stress.training.metrics import BAND
 
 SMOOTHING = 30.0
 """λ of the preconditioner, as in a refinement."""
@@ -79,7 +79,7 @@ def step(phi: torch.Tensor, predictor: Predictor, step_mm: float, edge_mm: float
 
     def band(vertices: torch.Tensor) -> torch.Tensor:
         field = distance(vertices)
-        return losses.mean(predictor.field(field, box), losses.band(field, BAND))
+        return losses.mean(predictor.field(field, box), losses.band(field, SURFACE_BAND_MM / mm))
 
     before = band(vertices)
     before.backward()
@@ -91,7 +91,7 @@ def step(phi: torch.Tensor, predictor: Predictor, step_mm: float, edge_mm: float
         move *= step_mm / mm / percentile(length, 0.99)
         # The bed-contact limit of a refinement: to lift a foot would lower the stress too easily
         height = vertices[:, 1] - vertices[:, 1].min()
-        reach = (STANDING * height).clamp(max=step_mm / mm)[:, None]
+        reach = (BED_CONTACT_LIMIT * height).clamp(max=step_mm / mm)[:, None]
         move *= (reach / move.norm(dim=1, keepdim=True).clamp_min(1e-12)).clamp(max=1)
         moved = vertices + move
         predicted = float(band(moved) / before)

@@ -9,16 +9,18 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
+import numpy as np
 import torch
+from genmf_mi.geometry.uniform_adam import UniformAdam
 
 from benchmarks import record
 from benchmarks.inputs import Inputs
 from benchmarks.stress_stage import MEASURES
 from genmf_mi.assets import sources
 from genmf_mi.core.config import RefineConfig
-from genmf_mi.geometry.mesh import UniformAdam
-from genmf_mi.pipeline import problem as prepare
+from genmf_mi.pipeline.problem import build_problem, parameterize  # follows pipeline.problem
 from genmf_mi.render import scene, variant
+from genmf_mi.stress.fem.statistics import SURFACE_BAND_MM
 from genmf_mi.stress.model.predictor import Predictor
 from genmf_mi.stress.penalty import StressPenalty
 from genmf_mi.stress.report import verification
@@ -50,24 +52,27 @@ def descend(path: Path, steps: int, rate: float, weights: Path | None) -> dict:
     rate = rate or 10 * config.learning_rate
     asset = sources.load(path)
     device = variant.use(config.device)
-    with tempfile.TemporaryDirectory() as scratch:
-        problem = prepare.prepare(asset, config, scene.find(asset.name), Path(scratch))  # follows pipeline.problem
-    relief = problem.movable(config, device)  # follows pipeline.problem
-    predictor = Predictor(weights)
-    penalty = StressPenalty(predictor, relief.distance(predictor.settings.grid), relief.initial, every=1)
-    optimiser = UniformAdam(relief.latent, rate, blocks=relief.blocks)  # follows geometry
+    with tempfile.TemporaryDirectory() as folder:
+        problem = build_problem(asset, config, scene.find(asset.name), Path(folder))
+    mm, initial = problem.frame.mm_per_unit, problem.surface
+    relief, predictor = parameterize(problem, config, device), Predictor(weights)
+    distance = relief.distance(predictor.settings.grid)
+    penalty = StressPenalty(predictor, distance, relief.initial_shape, every=1, band=SURFACE_BAND_MM / mm)
+    optimiser = UniformAdam(relief.parameters, rate)
     for step in range(steps):
-        loss, terms = penalty(relief.moved().shape)  # follows geometry
+        loss, terms = penalty(relief.geometry().shape)
         loss.backward()
-        optimiser.step(rate * min(1.0, 3 * (steps - step) / steps))
+        for group in optimiser.param_groups:
+            group["lr"] = rate * min(1.0, 3 * (steps - step) / steps)
+        optimiser.step()
         print(step, {key: round(value, 4) for key, value in terms.items()}, flush=True)
-    _, predicted = penalty(relief.moved().shape)  # follows geometry
-    vertices, faces = relief.surface(relief.reached())  # follows geometry
-    shapes = {"before": (problem.vertices, problem.faces), "after": (vertices, faces)}  # follows pipeline.problem
+    _, predicted = penalty(relief.geometry().shape)
+    vertices, faces = relief.surface(relief.state())
+    shapes = {"before": (initial.vertices, initial.faces), "after": (vertices, faces)}
     simulated = verification.verify(shapes, problem.frame)["ratio"]["after"]
-    moved = torch.as_tensor(vertices - problem.vertices).norm(dim=1) * problem.frame.mm_per_unit
+    moved_mm = np.linalg.norm(vertices - initial.vertices, axis=1) * mm
     return {
         "told": {key: round(value, 4) for key, value in predicted.items()},
         "found": {key: round(simulated[key], 4) for key in MEASURES},
-        "moved_mm": [round(float(moved.mean()), 3), round(float(moved.max()), 3)],
+        "moved_mm": [round(float(moved_mm.mean()), 3), round(float(moved_mm.max()), 3)],
     }
