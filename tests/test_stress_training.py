@@ -13,9 +13,9 @@ import trimesh
 
 from genmf_mi.core.errors import ConfigError, OutputError
 from genmf_mi.sdf.distance import signed_distance
+from genmf_mi.sdf.redistance import redistance
 from genmf_mi.stress.data import codec, reader
 from genmf_mi.stress.data.dataset import FORMAT
-from genmf_mi.sdf.redistance import redistance
 from genmf_mi.stress.data.reader import StressSamples
 from genmf_mi.stress.fem.simulation import Settings
 from genmf_mi.stress.model import network, weights
