@@ -1,1 +1,4 @@
-"""Where the figures in the documentation come from. Not part of the tests, and not of the installed package."""
+"""Where the figures in the documentation come from. Not part of the installed package.
+
+``python -m benchmarks`` prints the menu; :mod:`benchmarks.catalogue` lists what it shows.
+"""

@@ -1,57 +1,32 @@
-"""Seconds, memory and scores of the default preset with `--no-stress` on real assets, each in a process of its own.
-
-``GENMF_TEST_ASSETS`` names their folder; ``GENMF_BENCH_ASSETS`` may name others than the eight below, separated by
-spaces, and ``GENMF_BENCH_OUT`` a folder to keep the results in. Assets that are done there are not done again.
-"""
+"""Scores, seconds and memory of real assets in the default preset with ``--no-stress``."""
 
 from __future__ import annotations
-
-import json
-import os
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 
 from benchmarks import record
+from benchmarks.inputs import EIGHT_ASSETS, Inputs
+from benchmarks.runs import refined
 
-EIGHT = (
-    "hunyuan_bus",
-    "sf3d_raccoon",
-    "sf3d_garlic",
-    "sf3d_schoolbus",
-    "trellis_volcano",
-    "instantmesh_chair",
-    "spot",
-    "teacup",
-)
 SCORES = ("ssim", "lpips_alex", "lpips_vgg", "g_ssim", "g_lpips")
 
 
-def main() -> None:
-    folder = Path(os.environ["GENMF_TEST_ASSETS"])
-    names = os.environ.get("GENMF_BENCH_ASSETS", " ".join(EIGHT)).split()
-    out = Path(os.environ.get("GENMF_BENCH_OUT", "runs/bench"))
+def main(inputs: Inputs) -> None:
+    """Refine the eight assets of the README, each in a process of its own, and tabulate.
+
+    Args:
+        inputs: What all benchmarks have in common; this one reads --assets.
+    """
     rows = []
-    for name in names:
-        metrics = refined(folder / f"{name}.glb", out / name, "--no-stress")
-        rows.append(row(name, metrics) if metrics else {"asset": name, "failed": True})
+    for path in inputs.asset_files(EIGHT_ASSETS):
+        metrics = refined(path, inputs.out / "assets" / path.stem, "--no-stress")
+        rows.append(row(path.stem, metrics) if metrics else {"asset": path.stem, "failed": True})
         print(rows[-1], flush=True)
     record.write("assets", {"assets": rows, "summary": summary([r for r in rows if "failed" not in r])})
 
 
-def refined(asset: Path, out: Path, *arguments: str) -> dict | None:
-    """The metrics of a run in a process of its own, or of the one that ``out`` holds; None if it failed."""
-    done = out / "metrics.json"
-    if not done.exists():
-        command = ["refine", str(asset), "--out", str(out), "--force", "--quiet", *arguments]
-        subprocess.run([sys.executable, "-m", "genmf_mi", *command], check=False)
-    return json.loads(done.read_text(encoding="utf-8")) if done.exists() else None
-
-
 def row(name: str, metrics: dict) -> dict:
-    """The figures of one run that a table needs."""
+    """The figures of one run, from its ``metrics.json``."""
 
     def scores(block: dict) -> dict:
         return {shape: {k: round(block[shape][k], 4) for k in SCORES} for shape in ("before", "displacement", "after")}
@@ -71,7 +46,7 @@ def row(name: str, metrics: dict) -> dict:
 
 
 def summary(rows: list[dict]) -> dict:
-    """What holds over all assets."""
+    """Means and extremes over the assets."""
     if not rows:
         return {}
 
@@ -93,7 +68,7 @@ def summary(rows: list[dict]) -> dict:
             and r["after"]["lpips_alex"] > r["displacement"]["lpips_alex"]
         )
 
-    def kept(r: dict) -> float:
+    def unseen_share(r: dict) -> float:
         return (1 - r["unseen"]["after"]["lpips_alex"] / r["unseen"]["before"]["lpips_alex"]) / fall(r)
 
     return {
@@ -105,8 +80,8 @@ def summary(rows: list[dict]) -> dict:
         "beat_displacement_in_both": sum(map(beats, rows)),
         "worse_than_displacement_in_both": sum(map(loses, rows)),
         "share_of_lpips_gain_on_unseen": {
-            "mean": round(float(np.mean([kept(r) for r in rows])), 3),
-            "worst": round(min(kept(r) for r in rows), 3),
+            "mean": round(float(np.mean([unseen_share(r) for r in rows])), 3),
+            "worst": round(min(unseen_share(r) for r in rows), 3),
         },
         "median_seconds": float(np.median([r["seconds"]["total"] for r in rows])),
         "largest_peak_memory_gb": max(r["peak_memory_gb"] for r in rows),

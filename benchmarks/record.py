@@ -1,22 +1,37 @@
-"""One JSON per benchmark, with the machine that it ran on."""
+"""Result files, with the machine that they were made on, and CPU seconds.
+
+CPU seconds are those of this process, so that other work on the machine counts little; for wall time there is
+:class:`genmf_mi.core.timer.Timer`.
+"""
 
 from __future__ import annotations
 
 import json
 import os
 import platform
+import time
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
+
+from genmf_mi.core.files import write_text
 
 FOLDER = Path(__file__).parent / "results"
 
 
 def write(name: str, results: dict | list) -> None:
-    """Write ``results/NAME.json`` and say so."""
-    FOLDER.mkdir(exist_ok=True)
+    """Write ``results/NAME.json`` and print where it is."""
     path = FOLDER / f"{name}.json"
-    path.write_text(json.dumps({"machine": machine(), "results": results}, indent=2) + "\n", encoding="utf-8")
+    write_text(path, json.dumps({"machine": machine(), "results": results}, indent=2) + "\n")
     print(f"written to {path}")
+
+
+def write_verification(name: str, results: dict | list) -> None:
+    """Replace the entry ``name`` of ``results/stress_verification.json``; the others stay."""
+    path = FOLDER / "stress_verification.json"
+    entries = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    write_text(path, json.dumps(entries | {name: results}, indent=1) + "\n")
+    print(f"written to {path}, {name}")
 
 
 def machine() -> dict:
@@ -32,3 +47,16 @@ def machine() -> dict:
         "python": platform.python_version(),
         **{name: version(name) for name in ("mitsuba", "drjit", "torch")},
     }
+
+
+def cpu_seconds(work: Callable[[], object], repeats: int = 1, warm_up: bool = False) -> float:
+    """CPU seconds of the fastest of ``repeats`` calls of ``work``; with ``warm_up``, after one call that does not
+    count."""
+    if warm_up:
+        work()
+    best = float("inf")
+    for _ in range(repeats):
+        start = time.process_time()
+        work()
+        best = min(best, time.process_time() - start)
+    return round(best, 2)

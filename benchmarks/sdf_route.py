@@ -1,75 +1,56 @@
-"""The mesh route against the SDF route, default settings without the stress stage, on real assets.
+"""Refinement of the field beside refinement of the mesh, default settings without the stress stage, real assets.
 
-    python -m benchmarks.sdf_route ASSETS_DIR [NAME ...] [--out DIR]
-
-Each asset is converted to Φ on 129³ samples, written to a file, and refined from that by the command line in a process
-of its own. What is done in DIR (``runs/sdf_route``) is not done again. The mesh route's figures are those of
-``results/assets.json``, which :mod:`benchmarks.assets` makes.
+Each asset is converted to Φ on 129³ samples, written to a file, and refined from that. The figures of the mesh are
+those of ``results/assets.json``, which :mod:`benchmarks.assets` makes.
 """
 
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
-from argparse import ArgumentParser
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks import record
-from benchmarks.assets import EIGHT
+from benchmarks.inputs import EIGHT_ASSETS, Inputs
+from benchmarks.runs import refined
 
 SCORES = ("lpips_alex", "ssim", "g_ssim")
 SAMPLES = 129
 
 
-def main() -> None:
-    parser = ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("assets", type=Path, help="folder of the assets, NAME.glb each")
-    parser.add_argument("names", nargs="*", default=EIGHT, help="which of them; the usual eight if not given")
-    parser.add_argument("--out", type=Path, default=Path("runs/sdf_route"))
-    chosen = parser.parse_args()
-    mesh = json.loads((record.FOLDER / "assets.json").read_text(encoding="utf-8"))["results"]["assets"]
-    on_mesh = {entry["asset"]: entry for entry in mesh if "failed" not in entry}
+def main(inputs: Inputs) -> None:
+    """Convert and refine the eight assets of the README, each in a process of its own, and tabulate.
+
+    Args:
+        inputs: What all benchmarks have in common; this one reads --assets.
+    """
+    mesh_rows = json.loads((record.FOLDER / "assets.json").read_text(encoding="utf-8"))["results"]["assets"]
+    on_mesh = {row["asset"]: row for row in mesh_rows if "failed" not in row}
     rows = []
-    for name in chosen.names:
-        metrics = refined(chosen.assets / f"{name}.glb", chosen.out / name)
-        row = {"asset": name, "failed": True} if metrics is None else {"asset": name, "sdf": figures(metrics)}
-        if name in on_mesh and metrics is not None:
-            row["mesh"] = figures(on_mesh[name])
+    for path in inputs.asset_files(EIGHT_ASSETS):
+        folder = inputs.out / "sdf_route" / path.stem
+        options = ("--textured", path, "--no-stress", "--no-score-vgg")
+        metrics = refined(field_of(path, folder.with_suffix(".npz")), folder, *options)
+        row = {"asset": path.stem, "failed": True} if metrics is None else {"asset": path.stem, "sdf": figures(metrics)}
+        if path.stem in on_mesh and metrics is not None:
+            row["mesh"] = figures(on_mesh[path.stem])
         rows.append(row)
         print(rows[-1], flush=True)
     done = [row for row in rows if "failed" not in row]
     record.write("sdf_route", {"samples_per_axis": SAMPLES, "assets": rows, "summary": summary(done)})
 
 
-def refined(path: Path, folder: Path) -> dict | None:
-    """``metrics.json`` of the SDF route, made if it is not there; None if the refinement failed."""
+def field_of(asset: Path, path: Path) -> Path:
+    """The file ``path`` with Φ of ``asset``; it is written if it does not exist yet."""
     from genmf_mi.assets.asset import load
     from genmf_mi.assets.generators import files
     from genmf_mi.assets.generators.from_mesh import sdf_from_mesh
 
-    done, field = folder / "metrics.json", folder.with_suffix(".npz")
-    if not done.exists():
-        if not field.exists():
-            field.parent.mkdir(parents=True, exist_ok=True)
-            files.save(sdf_from_mesh(load(path), SAMPLES), field)
-        going_on = "--resume" if (folder / "checkpoint.npz").exists() else "--force"
-        command = [
-            sys.executable,
-            "-m",
-            "genmf_mi",
-            "refine",
-            field,
-            "--textured",
-            path,
-            "--out",
-            folder,
-            "--no-stress",
-        ]
-        subprocess.run([*map(str, command), "--no-score-vgg", "--quiet", going_on], check=False)
-    return json.loads(done.read_text(encoding="utf-8")) if done.exists() else None
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        files.save(sdf_from_mesh(load(asset), SAMPLES), path)
+    return path
 
 
 def figures(metrics: dict) -> dict:
@@ -112,8 +93,4 @@ def summary(rows: list[dict]) -> dict:
         }
 
     sides = {side: [row[side] for row in rows if side in row] for side in ("sdf", "mesh")}
-    return {side: over(found) for side, found in sides.items() if found}
-
-
-if __name__ == "__main__":
-    main()
+    return {side: over(chosen) for side, chosen in sides.items() if chosen}

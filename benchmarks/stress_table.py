@@ -1,30 +1,48 @@
-"""Mean, p99.9, nodes and seconds of many shapes; every one is simulated or refused by name.
-
-    python benchmarks/stress_table.py FOLDER_OR_FILE ... [--out benchmarks/results/stress_table.json]
-
-Shapes already in the output are not run again.
-"""
+"""Mean, p99.9, nodes and seconds of many shapes; every one is simulated or refused by name."""
 
 from __future__ import annotations
 
 import json
 import platform
 import time
+from dataclasses import replace
 from pathlib import Path
 
-import tyro
-from tyro.conf import Positional
-
+from benchmarks import record
+from benchmarks.inputs import EIGHT_ASSETS, Inputs
 from genmf_mi.core.errors import GenmfError
 from genmf_mi.core.files import write_text
-from genmf_mi.stress.data.dataset import MESHES
+from genmf_mi.core.timer import Timer
 from genmf_mi.stress.fem import simulation as fem
 from genmf_mi.stress.fem import surface
 from genmf_mi.stress.fem.statistics import summary
 
 
+def main(inputs: Inputs, *, edge_mm: float = 1.6, name: str = "stress_table") -> None:
+    """Simulate the eight assets of the README and all meshes of a folder; what the table has is not repeated.
+
+    Args:
+        inputs: What all benchmarks have in common; this one reads --assets and --meshes.
+        edge_mm: Side of the lattice that the tetrahedra come from.
+        name: Of the file of results.
+    """
+    path = record.FOLDER / f"{name}.json"
+    table = {"edge_mm": edge_mm, "machine": platform.machine(), "shapes": {}}
+    if path.exists():
+        table = json.loads(path.read_text(encoding="utf-8"))
+    every = replace(inputs, names=())
+    for file in [*every.asset_files(EIGHT_ASSETS), *every.mesh_files()]:
+        if inputs.names and file.stem not in inputs.names:
+            continue
+        if file.stem not in table["shapes"]:
+            table["shapes"][file.stem] = row(file, fem.Settings(edge_mm=edge_mm))
+            write_text(path, json.dumps(table, indent=1) + "\n")
+        print(file.stem, table["shapes"][file.stem], flush=True)
+
+
 def row(path: Path, settings: fem.Settings) -> dict:
-    started, cpu = time.perf_counter(), time.process_time()
+    """The figures of one shape, MPa, mm and seconds, or why it was refused."""
+    timer, cpu_start = Timer(), time.process_time()
     try:
         result = fem.simulate(*surface.load(path), settings)
     except GenmfError as error:
@@ -40,27 +58,6 @@ def row(path: Path, settings: fem.Settings) -> dict:
     return {
         **{name: round(value, 4) for name, value in figures.items()},
         "nodes": mesh["nodes"],
-        "seconds_cpu": round(time.process_time() - cpu, 1),
-        "seconds_wall": round(time.perf_counter() - started, 1),
+        "seconds_cpu": round(time.process_time() - cpu_start, 1),
+        "seconds_wall": round(timer.total, 1),
     }
-
-
-def main(
-    paths: Positional[list[Path]], /, out: Path = Path("benchmarks/results/stress_table.json"), edge_mm: float = 1.6
-) -> None:
-    """Simulate mesh files, or all mesh files of folders, and write a table."""
-    files = sorted(f for p in paths for f in (p.iterdir() if p.is_dir() else [p]) if f.suffix.lower() in MESHES)
-    table = (
-        json.loads(out.read_text(encoding="utf-8"))
-        if out.exists()
-        else {"edge_mm": edge_mm, "machine": platform.machine(), "shapes": {}}
-    )
-    for path in files:
-        if path.stem not in table["shapes"]:
-            table["shapes"][path.stem] = row(path, fem.Settings(edge_mm=edge_mm))
-            write_text(out, json.dumps(table, indent=1) + "\n")
-        print(path.stem, table["shapes"][path.stem], flush=True)
-
-
-if __name__ == "__main__":
-    tyro.cli(main)

@@ -1,6 +1,6 @@
 """CalculiX (Debian: calculix-ccx) on the same mesh and conditions: temperature, displacement and von Mises.
 
-The soft clamp becomes grounded springs (SPRING1), one property per held node and direction.
+The soft clamp becomes grounded springs (SPRING1), one property per constrained node and direction.
 """
 
 from __future__ import annotations
@@ -8,36 +8,39 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks import verification
+from benchmarks import record
+from benchmarks.inputs import Inputs
+from genmf_mi.core.timer import Timer
 from genmf_mi.sdf.distance import signed_distance
 from genmf_mi.stress.fem import simulation as fem
 from genmf_mi.stress.fem import surface, tetrahedra
 from genmf_mi.stress.fem.elasticity import soft_clamp, von_mises
-from genmf_mi.stress.fem.materials import material
+from genmf_mi.stress.fem.materials import Material, material
 from genmf_mi.stress.fem.protocol import Protocol
 
+SHAPES = ("rockerarm", "wingnut")
+EDGE_MM, PROTOCOL = 2.5, Protocol(step_s=300.0)
+"""Both programs take the same four steps; CalculiX factors its matrices anew in each."""
+COARSE_SHAPE, COARSE_EDGE_MM, COARSE_PROTOCOL = "wingnut", 4.0, Protocol(step_s=60.0)
+"""A coarse mesh with the steps of a simulation."""
+LIMITS = {"displacement": 1e-3, "von_mises": 5e-3}
 _FACES = {"1": [0, 1, 2], "2": [0, 1, 3], "3": [1, 2, 3], "4": [0, 2, 3]}
 """Corners of the faces of C3D4 in CalculiX's numbering."""
 
 
-PROTOCOL = Protocol(step_s=300.0)
-"""Both take the same four steps; CalculiX factors its matrices anew in each."""
-
-
-def deck(field: fem.Field, stuff, protocol: Protocol) -> str:
+def deck(field: fem.Field, pla: Material, protocol: Protocol) -> str:
     """The input file; units t, mm, s, K (so mW for power)."""
     mesh, elements = field.mesh, field.elements
     n = len(mesh.points)
-    key = lambda f: np.sort(f, axis=1) @ np.array([n * n, n, 1])  # noqa: E731
+    key = lambda faces: np.sort(faces, axis=1) @ np.array([n * n, n, 1])  # noqa: E731
     outer = np.unique(key(mesh.boundary()))
-    spring = soft_clamp(mesh.points[:, 2], elements.nodal_volume(), stuff.youngs_modulus_mpa, protocol.clamp_fraction)
+    spring = soft_clamp(mesh.points[:, 2], elements.nodal_volume(), pla.youngs_modulus_mpa, protocol.clamp_fraction)
     lines = ["*NODE,NSET=NALL"]
     lines += [f"{i + 1},{x:.12g},{y:.12g},{z:.12g}" for i, (x, y, z) in enumerate(mesh.points)]
     lines += ["*ELEMENT,TYPE=C3D4,ELSET=EALL"]
@@ -50,19 +53,19 @@ def deck(field: fem.Field, stuff, protocol: Protocol) -> str:
             lines += [f"*ELEMENT,TYPE=SPRING1,ELSET={name}", f"{number},{node + 1}"]
             lines += [f"*SPRING,ELSET={name}", f"{direction}", f"{spring[node]:.12g}"]
     lines += [
-        "*MATERIAL,NAME=M", "*ELASTIC", f"{stuff.youngs_modulus_mpa},{stuff.poisson_ratio}",
-        f"*EXPANSION,ZERO={stuff.stress_free_celsius}", f"{stuff.expansion_per_k}",
-        "*CONDUCTIVITY", f"{stuff.conductivity_w_mk}", "*SPECIFIC HEAT", f"{stuff.heat_capacity_j_kgk * 1e6}",
-        "*DENSITY", f"{stuff.density_kg_m3 * 1e-12}", "*SOLID SECTION,ELSET=EALL,MATERIAL=M",
-        "*INITIAL CONDITIONS,TYPE=TEMPERATURE", f"NALL,{stuff.stress_free_celsius}",
+        "*MATERIAL,NAME=M", "*ELASTIC", f"{pla.youngs_modulus_mpa},{pla.poisson_ratio}",
+        f"*EXPANSION,ZERO={pla.stress_free_celsius}", f"{pla.expansion_per_k}",
+        "*CONDUCTIVITY", f"{pla.conductivity_w_mk}", "*SPECIFIC HEAT", f"{pla.heat_capacity_j_kgk * 1e6}",
+        "*DENSITY", f"{pla.density_kg_m3 * 1e-12}", "*SOLID SECTION,ELSET=EALL,MATERIAL=M",
+        "*INITIAL CONDITIONS,TYPE=TEMPERATURE", f"NALL,{pla.stress_free_celsius}",
         "*AMPLITUDE,NAME=AIR",
-        f"0.,{stuff.stress_free_celsius},{protocol.ramp_s},{protocol.ambient_end_celsius}",
+        f"0.,{pla.stress_free_celsius},{protocol.ramp_s},{protocol.ambient_end_celsius}",
         "*STEP,INC=1000", "*UNCOUPLED TEMPERATURE-DISPLACEMENT,DIRECT", f"{protocol.step_s},{protocol.record_s}",
         "*FILM,AMPLITUDE=AIR",
     ]  # fmt: skip
     for label, corners in _FACES.items():
-        hit = np.flatnonzero(np.isin(key(mesh.cells[:, corners]), outer))
-        lines += [f"{i + 1},F{label},1.,{protocol.heat_transfer_coefficient_w_m2k * 1e-3}" for i in hit]
+        cells = np.flatnonzero(np.isin(key(mesh.cells[:, corners]), outer))
+        lines += [f"{i + 1},F{label},1.,{protocol.heat_transfer_coefficient_w_m2k * 1e-3}" for i in cells]
     lines += [f"*NODE PRINT,NSET=NALL,FREQUENCY={protocol.steps}", "U,NT"]
     lines += [f"*EL PRINT,ELSET=EALL,FREQUENCY={protocol.steps}", "S", "*END STEP", ""]
     return "\n".join(lines)
@@ -81,51 +84,66 @@ def results(path: Path) -> dict[str, np.ndarray]:
     return {name: np.array(sorted(rows)) for name, rows in blocks.items()}
 
 
-def compare(name: str, vertices, faces, edge_mm: float) -> dict:
-    """Relative L2 differences of ours from CalculiX's."""
-    stuff, protocol = material("pla"), PROTOCOL
+def run(deck_text: str) -> tuple[dict[str, np.ndarray], float]:
+    """The results of CalculiX for an input file, and its wall seconds. Raises :class:`RuntimeError` where it fails."""
+    with tempfile.TemporaryDirectory() as folder:
+        Path(folder, "job.inp").write_text(deck_text, encoding="utf-8")
+        timer = Timer()
+        done = subprocess.run(["ccx", "-i", "job"], cwd=folder, env=os.environ | {"OMP_NUM_THREADS": "1"},
+                              capture_output=True, text=True, check=False)  # fmt: skip
+        seconds = timer.total
+        if not Path(folder, "job.dat").exists() or "*ERROR" in done.stdout:
+            raise RuntimeError(done.stdout[-3000:])
+        return results(Path(folder, "job.dat")), seconds
+
+
+def compare(path: Path, edge_mm: float, protocol: Protocol) -> dict:
+    """Relative L2 differences of ours from CalculiX's, for the shape in a file."""
+    vertices, faces = surface.load(path)
+    pla = material("pla")
     frame = fem.frame_of(vertices, 100.0)
     phi = signed_distance(frame.normalise(vertices), faces, 129)
     mesh, _ = tetrahedra.largest_body(tetrahedra.isosurface_stuffing(phi, edge_mm / frame.mm_per_unit))
     mesh = mesh.moved(frame.to_print(mesh.points))
-    started = time.process_time()
-    ours = fem.solve(mesh, stuff, protocol)
-    seconds = time.process_time() - started
-    with tempfile.TemporaryDirectory() as folder:
-        Path(folder, "job.inp").write_text(deck(ours, stuff, protocol), encoding="utf-8")
-        started = time.perf_counter()
-        run = subprocess.run(["ccx", "-i", "job"], cwd=folder, env=os.environ | {"OMP_NUM_THREADS": "1"},
-                             capture_output=True, text=True)  # fmt: skip
-        wall = time.perf_counter() - started
-        if not Path(folder, "job.dat").exists() or "*ERROR" in run.stdout:
-            raise RuntimeError(run.stdout[-3000:])
-        theirs = results(Path(folder, "job.dat"))
-    moved, temperature = theirs["displacements"][:, 1:4], theirs["temperatures"][:, 1]
-    s = theirs["stresses"][:, 2:8]
-    tensor = s[:, [0, 3, 4, 3, 1, 5, 4, 5, 2]].reshape(-1, 3, 3)
+    start = time.process_time()
+    ours = fem.solve(mesh, pla, protocol)
+    seconds = time.process_time() - start
+    theirs, ccx_seconds = run(deck(ours, pla, protocol))
+    displacement, temperature = theirs["displacements"][:, 1:4], theirs["temperatures"][:, 1]
+    tensor = theirs["stresses"][:, 2:8][:, [0, 3, 4, 3, 1, 5, 4, 5, 2]].reshape(-1, 3, 3)
     weight, equivalent = ours.elements.volumes, von_mises(tensor)
-    relative = lambda a, b, w=1.0: float(np.sqrt((w * (a - b) ** 2).sum() / (w * b**2).sum()))  # noqa: E731
+
+    def relative(a: np.ndarray, b: np.ndarray, weight: np.ndarray | float = 1.0) -> float:
+        return float(np.sqrt((weight * (a - b) ** 2).sum() / (weight * b**2).sum()))
+
+    start_celsius = pla.stress_free_celsius
     return {
-        "shape": name,
+        "shape": path.stem,
         "nodes": len(mesh.points),
-        "temperature": relative(ours.temperature - 60, temperature - 60),
-        "displacement": relative(ours.displacement, moved),
+        "temperature": relative(ours.temperature - start_celsius, temperature - start_celsius),
+        "displacement": relative(ours.displacement, displacement),
         "von_mises": relative(ours.von_mises, equivalent, weight),
         "mean_mpa": [float(np.average(v, weights=weight)) for v in (ours.von_mises, equivalent)],
         "seconds_ours_cpu": round(seconds, 1),
-        "seconds_ccx_wall": round(wall, 1),
+        "seconds_ccx_wall": round(ccx_seconds, 1),
     }
 
 
-def main(shapes: dict[str, Path], edge_mm: float = 2.5) -> dict:
+def main(inputs: Inputs) -> None:
+    """Compare on two shapes, and on a coarse mesh with the time steps of a simulation.
+
+    Args:
+        inputs: What all benchmarks have in common; this one reads --meshes.
+    """
     if shutil.which("ccx") is None:
-        sys.exit("skipped: ccx is not installed; apt-get install calculix-ccx")
+        raise SystemExit("error: the program ccx is not installed: apt-get install calculix-ccx")
     rows = []
-    for name, path in shapes.items():
-        rows.append(compare(name, *surface.load(path), edge_mm))
+    for path in inputs.mesh_files(SHAPES):
+        rows.append(compare(path, EDGE_MM, PROTOCOL))
         print(rows[-1], flush=True)
-    return {"edge_mm": edge_mm, "limits": {"displacement": 1e-3, "von_mises": 5e-3}, "rows": rows}
-
-
-if __name__ == "__main__":
-    verification.record("calculix", main({Path(p).stem: Path(p) for p in sys.argv[1:]}))
+    about = {"edge_mm": EDGE_MM, "step_s": PROTOCOL.step_s, "limits": LIMITS}
+    record.write_verification("calculix", {**about, "rows": rows})
+    (path,) = inputs.mesh_files((COARSE_SHAPE,))[:1]
+    coarse = compare(path, COARSE_EDGE_MM, COARSE_PROTOCOL)
+    about = {"edge_mm": COARSE_EDGE_MM, "step_s": COARSE_PROTOCOL.step_s}
+    record.write_verification("calculix_coarse", {**about, "rows": [coarse]})

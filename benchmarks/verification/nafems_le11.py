@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from benchmarks import verification
+from benchmarks import record
+from benchmarks.inputs import Inputs
 from genmf_mi.stress.fem.elasticity import multigrid
 from genmf_mi.stress.fem.linear import solve_spd
 from genmf_mi.stress.fem.materials import Material
@@ -54,27 +55,28 @@ def axial_stress_at_a(n: int, order: int) -> tuple[float, int]:
 
     tets = mesh(n)
     forms = Forms(tets, STEEL, order)
-    places = forms.heat.doflocs
-    excess = np.hypot(places[0], places[1]) + places[2]
+    nodes = forms.heat.doflocs
+    temperature_rise = np.hypot(nodes[0], nodes[1]) + nodes[2]
     x, y, z = forms.elastic.doflocs
     component = np.arange(forms.elastic.N) % 3
-    held = (
+    fixed = (
         ((component == 2) & ((z < 1e-9) | (z > 1.79 - 1e-9)))
         | ((component == 0) & (x < 1e-9))
         | ((component == 1) & (y < 1e-9))
     )
-    matrix = (forms.elasticity + sp.diags(np.where(held, 1e12, 0.0))).tocsr()
-    moved, _ = solve_spd(
-        matrix, forms.thermal_load(excess), multigrid(matrix.tobsr((3, 3)), forms.elastic.doflocs[:, ::3].T), 1e-9
-    )
+    matrix = (forms.elasticity + sp.diags(np.where(fixed, 1e12, 0.0))).tocsr()
+    preconditioner = multigrid(matrix.tobsr((3, 3)), forms.elastic.doflocs[:, ::3].T)
+    displacement, _ = solve_spd(matrix, forms.thermal_load(temperature_rise), preconditioner, 1e-9)
 
     corners = skfem.Basis(forms.mesh, forms.elastic.elem, quadrature=(np.eye(4)[1:, :], np.full(4, 1 / 24)))
-    strain = np.asarray(sym_grad(corners.interpolate(moved)))
+    field = corners.interpolate(displacement)
+    assert isinstance(field, skfem.DiscreteField)  # one element, so no tuple
+    strain = np.asarray(sym_grad(field))
     lam, mu = STEEL.lame
     thermal = (
-        STEEL.thermal_modulus * excess[tets.cells]
+        STEEL.thermal_modulus * temperature_rise[tets.cells]
         if order == 2
-        else STEEL.thermal_modulus * excess[tets.cells].mean(axis=1, keepdims=True)
+        else STEEL.thermal_modulus * temperature_rise[tets.cells].mean(axis=1, keepdims=True)
     )
     axial = 2 * mu * strain[2, 2] + lam * np.trace(strain) - thermal
     at_a = (np.hypot(tets.points[:, 0], tets.points[:, 1]) < 1 + 1e-6) & (tets.points[:, 2] < 1e-9)
@@ -82,15 +84,16 @@ def axial_stress_at_a(n: int, order: int) -> tuple[float, int]:
     return float(axial[inside].mean()), forms.elastic.N
 
 
-def main() -> dict:
+def main(inputs: Inputs) -> None:
+    """Solve with linear and quadratic elements on a sequence of meshes.
+
+    Args:
+        inputs: What all benchmarks have in common; this one reads none of them.
+    """
     rows = []
     for order, counts in ((1, (2, 4, 8)), (2, (1, 2, 4, 6))):
         for n in counts:
             stress, unknowns = axial_stress_at_a(n, order)
             rows.append({"order": order, "n": n, "unknowns": int(unknowns), "axial_mpa": round(stress, 2)})
             print(rows[-1], flush=True)
-    return {"target_mpa": TARGET_MPA, "rows": rows}
-
-
-if __name__ == "__main__":
-    verification.record("nafems_le11", main())
+    record.write_verification("nafems_le11", {"target_mpa": TARGET_MPA, "rows": rows})

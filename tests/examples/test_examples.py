@@ -1,0 +1,80 @@
+"""Every example at a small size, with the numbers that it gave when it was written."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from toys import painted
+
+import genmf_mi
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+SMALL = {"iterations": 6, "resolution": 96, "score_vgg": False, "stress": False, "device": "cpu"}
+
+
+def load(name: str) -> ModuleType:
+    """The example as a module, without running it."""
+    spec = importlib.util.spec_from_file_location(f"example_{name}", EXAMPLES / f"{name}.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_every_example_is_tested():
+    assert {path.stem for path in EXAMPLES.glob("*.py")} == {
+        "custom_loss",
+        "refine_field",
+        "refine_mesh",
+        "stress_only",
+    }
+
+
+def test_stress_only(capsys):
+    stress = load("stress_only").main(edge_mm=4.0)
+    assert stress["simulated"] == pytest.approx({"mean": 0.640, "p99_9": 2.067, "max": 2.674}, rel=0.01)
+    # The network may compute in bfloat16
+    assert stress["predicted"] == pytest.approx({"mean": 0.632, "p99_9": 1.883, "max": 2.258}, rel=0.03)
+    assert "11039 nodes" in capsys.readouterr().out
+
+
+def test_stress_only_of_a_file(tmp_path):
+    stress = load("stress_only").main(painted(tmp_path / "egg.ply"), edge_mm=8.0)
+    assert stress["simulated"]["mean"] == pytest.approx(0.436, rel=0.01)
+
+
+@pytest.mark.usefixtures("small_refinements")
+class TestRefinements:
+    """SSIM does not depend on the LPIPS weights that happen to be installed, other than after the optimisation."""
+
+    def test_refine_mesh(self, tmp_path, two_views, capsys):
+        asset, out = painted(tmp_path / "egg.ply"), tmp_path / "out"
+        config = genmf_mi.RefineConfig(**SMALL, max_relief_mm=2.0)
+        result = load("refine_mesh").main(asset, out, config=config, scene=two_views)
+        printed = capsys.readouterr().out
+        assert {"refined.3mf", "before_after.png", "report.html"} <= {path.name for path in out.iterdir()}
+        ssim = {name: result.metrics[name]["ssim"] for name in ("before", "displacement", "after")}
+        assert ssim == pytest.approx({"before": 0.381, "displacement": 0.473, "after": 0.391}, abs=0.02)
+        assert 0.7 < result.metrics["relief_mm"]["max"] <= 2.0
+        assert "refining ..." in printed and "SSIM 0.3" in printed
+
+    def test_refine_field(self, two_views, capsys):
+        config = genmf_mi.RefineConfig(**SMALL, max_relief_mm=2.0)
+        result = load("refine_field").main(out=None, samples=33, config=config, scene=two_views)
+        ssim = {name: result.metrics[name]["ssim"] for name in ("before", "after")}
+        assert ssim == pytest.approx({"before": 0.659, "after": 0.661}, abs=0.02)
+        assert result.metrics["solid"]["volume_mm3"] == pytest.approx(206_100, rel=0.01)
+        assert "closed: True, bodies: 1" in capsys.readouterr().out
+
+    def test_custom_loss(self, tmp_path, two_views, capsys):
+        """0.139 and 0.200 mm without the term, 0.098 and 0.188 mm with it."""
+        asset, main = painted(tmp_path / "egg.ply"), load("custom_loss").main
+        config = genmf_mi.RefineConfig(**SMALL | {"iterations": 20}, max_relief_mm=2.0)
+        foot, above = main(asset, weight=0.0, config=config, scene=two_views)
+        flat_foot, above_it = main(asset, weight=100.0, config=config, scene=two_views)
+        assert foot == pytest.approx(0.139, abs=0.02) and flat_foot < 0.8 * foot
+        assert above_it > 0.85 * above
+        assert "the term is 0." in capsys.readouterr().out
