@@ -70,12 +70,12 @@ def lpips_weights():
     def random(network: str) -> dict[str, torch.Tensor]:
         generator, inputs, made = torch.Generator().manual_seed(0), 3, {}
         kernels = (11, 5, 3, 3, 3) if network == "alex" else (3,) * 13
-        for i, (outputs, kernel) in enumerate(zip(weights._CHANNELS[network], kernels, strict=True)):
+        for i, (outputs, kernel) in enumerate(zip(weights.CHANNELS[network], kernels, strict=True)):
             scale = (2 / (inputs * kernel**2)) ** 0.5
             made[f"conv{i}.weight"] = scale * torch.randn(outputs, inputs, kernel, kernel, generator=generator)
             made[f"conv{i}.bias"], inputs = torch.zeros(outputs), outputs
         for i, tap in enumerate(weights.TAPS[network]):
-            made[f"linear{i}"] = torch.rand(weights._CHANNELS[network][tap], generator=generator)
+            made[f"linear{i}"] = torch.rand(weights.CHANNELS[network][tap], generator=generator)
         return made
 
     with pytest.MonkeyPatch.context() as patch:
@@ -89,10 +89,10 @@ def lpips_weights():
 @pytest.fixture(scope="module")
 def two_views(tmp_path_factory) -> Path:
     """A scene file with two standard views instead of six."""
-    from genmf_mi.render import scene
+    from genmf_mi.render import scene_file
 
-    text = scene.find("default").read_text()
-    six = scene.read_defaults(scene.find("default"))["views"]
+    text = scene_file.standalone_xml("default", "mesh.ply")
+    six = scene_file.read_defaults(scene_file.find("default"))["views"]
     path = tmp_path_factory.mktemp("scene") / "two_views.xml"
     path.write_text(text.replace(six, "0:20 180:-10"))
     return path

@@ -42,6 +42,6 @@ def min_thickness(vertices_mm: np.ndarray, faces: np.ndarray, samples: int = 20_
     """1st percentile of the wall thickness in mm over up to ``samples`` evenly spread faces, 0 without an inside: the
     length of a ray from the middle of a face, against its normal, until it leaves the solid."""
     chosen = np.linspace(0, len(faces) - 1, min(samples, len(faces))).astype(int)
-    walls = bridge.thickness(vertices_mm, faces, chosen)
+    walls = bridge.wall_thickness(vertices_mm, faces, chosen)
     walls = walls[np.isfinite(walls)]
     return float(np.percentile(walls, THIN_PERCENTILE)) if len(walls) else 0.0

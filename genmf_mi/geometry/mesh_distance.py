@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from genmf_mi.sdf.distance import band, signed_distance
+from genmf_mi.sdf.distance import narrow_band, signed_distance
 from genmf_mi.sdf.redistance import REACH_CELLS
 
 SPARE_CELLS = 2.0
@@ -59,7 +59,7 @@ class MeshDistance:
         from scipy.spatial import cKDTree
 
         place = vertices.detach().cpu().double().numpy()
-        near = band(place, self.faces, self.n)
+        near = narrow_band(place, self.faces, self.n)
         phi = signed_distance(place, self.faces, self.n, near).reshape(-1)
         reached = phi < (REACH_CELLS + SPARE_CELLS) * 2.0 / (self.n - 1)
         face = np.full(len(phi), -1)

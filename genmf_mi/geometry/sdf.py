@@ -28,8 +28,8 @@ from genmf_mi.geometry.sdf_back_off import Kept, back_off_fields
 from genmf_mi.geometry.sdf_distance import SdfDistance, free_weights, slope
 from genmf_mi.losses import sdf as losses
 from genmf_mi.mesh.nearest import Nearest, barycentric
-from genmf_mi.sdf.flexicubes import WEIGHTS, FlexiCubes, flexi_weight_reg
-from genmf_mi.sdf.grid import SPECK, without_specks
+from genmf_mi.sdf.flexicubes import WEIGHTS, FlexiCubes
+from genmf_mi.sdf.grid import SMALL_COMPONENT_SHARE, without_small_components
 from genmf_mi.sdf.shell import shell
 
 DEFORMATION_RATE, WEIGHTS_RATE = 4.0, 4.0
@@ -159,7 +159,7 @@ class SdfParameterization:
         terms = {
             "sdf_tv": losses.sdf_tv(phi, self.samples, self.cell),
             "l_dev": losses.l_dev(surface.deviation, self.cell),
-            "flexi_weight_reg": flexi_weight_reg(surface.weights),
+            "flexi_weight_reg": losses.flexi_weight_reg(surface.weights),
         }
         shift = torch.as_tensor(self.shift, dtype=torch.float32, device=self.device)
         return Geometry(surface.vertices * self.scale + shift, surface.faces, phi, terms)
@@ -218,7 +218,8 @@ class SdfParameterization:
         """
         with torch.no_grad():
             phi, *rest = self.fields(state, kept and tuple(self._tensor(x)[:, None] for x in kept))
-            phi = torch.as_tensor(without_specks(phi.cpu().numpy(), SPECK / 3)[0], device=self.device)
+            solid, _ = without_small_components(phi.cpu().numpy(), SMALL_COMPONENT_SHARE / 3)
+            phi = torch.as_tensor(solid, device=self.device)
             extracted = self._extract(phi, *rest)
         faces = extracted.faces.cpu().numpy().astype(np.int64)
         points = extracted.vertices.cpu().numpy().astype(np.float64) * self.scale + self.shift

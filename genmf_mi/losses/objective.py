@@ -27,9 +27,9 @@ def terms(part: Buffers, reference: Buffers, weights: Weights) -> dict[str, Tens
         part: the render being improved; without geometry buffers only its appearance is judged.
         reference: the textured object at the same rays; its depth and normals are the teacher's.
     """
-    window = _window(reference.coverage)
+    window = _window(reference.geometry[2])
     part, reference = part.crop(window), reference.crop(window)
-    mask = reference.coverage
+    teacher_depth, teacher_normal, mask = reference.geometry
     aligned, target = appearance.align_srgb(
         part.grey, mask if part.coverage is None else part.coverage.detach(), reference.grey, mask
     )
@@ -44,12 +44,13 @@ def terms(part: Buffers, reference: Buffers, weights: Weights) -> dict[str, Tens
         "gradient_sign": lambda: appearance.gradient_sign_penalty(aligned, target, mask),
     }
     if part.depth is not None:
+        depth, normal, _ = part.geometry
         by_name |= {
-            "depth_smoothness": lambda: geometry.depth_smoothness(part.depth, mask),
-            "normal_smoothness": lambda: geometry.normal_smoothness(part.normal, mask),
-            "teacher_depth": lambda: geometry.teacher_depth(part.depth, reference.depth, mask),
-            "teacher_normal": lambda: geometry.teacher_normal(part.normal, reference.normal, mask),
-            "normal_flip": lambda: geometry.normal_flip_penalty(part.normal, reference.normal, mask),
+            "depth_smoothness": lambda: geometry.depth_smoothness(depth, mask),
+            "normal_smoothness": lambda: geometry.normal_smoothness(normal, mask),
+            "teacher_depth": lambda: geometry.teacher_depth(depth, teacher_depth, mask),
+            "teacher_normal": lambda: geometry.teacher_normal(normal, teacher_normal, mask),
+            "normal_flip": lambda: geometry.normal_flip_penalty(normal, teacher_normal, mask),
         }
     return {name: term() for name, term in by_name.items() if getattr(weights, name) > 0}
 

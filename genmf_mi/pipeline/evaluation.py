@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,9 @@ from genmf_mi.mesh import topology
 from genmf_mi.pipeline import evaluator
 from genmf_mi.pipeline.evaluator import Evaluator, unseen_views
 from genmf_mi.pipeline.problem import build_problem
-from genmf_mi.render import bridge, variant
+from genmf_mi.render import bridge, scene_file, variant
 from genmf_mi.render import scene as scenes
+from genmf_mi.render.scene import RenderSettings
 
 WELD = 1e-6
 """Vertices closer than this share of the longest side are one: STL and textured files split theirs, which would show
@@ -53,7 +55,7 @@ def evaluate(
     variant.use("auto")
     lpips_weights.require(*networks)
     textured, shape = (a if isinstance(a, Asset) else load(samples.resolve(a)) for a in (original, refined))
-    xml = Path(scene) if scene else scenes.find(textured.name)
+    xml = Path(scene) if scene else scene_file.find(textured.name)
     with tempfile.TemporaryDirectory(prefix="genmf-") as folder:
         problem = build_problem(textured, RefineConfig(size_mm=size_mm), xml, Path(folder))
         longest = np.ptp(shape.vertices, axis=0).max()
@@ -62,8 +64,8 @@ def evaluate(
         ply = Path(folder) / "refined.ply"
         bridge.write_ply(ply, vertices, faces)
         radius = float(np.linalg.norm(problem.surface.vertices, axis=1).max())
-        resolution = {"resolution": evaluator.RESOLUTION, "samples": evaluator.SAMPLES}
-        after = scenes.load(xml, ply, radius=radius, **resolution)
+        settings = RenderSettings(radius, evaluator.RESOLUTION, evaluator.SAMPLES)
+        after = scenes.load(xml, ply, **asdict(settings))
         metrics: dict[str, Any] = {"asset": textured.name, "unseen": {}}
         pair = problem.evaluation
         for group, views in ((metrics, pair.reference.views), (metrics["unseen"], unseen_views(pair.reference.views))):

@@ -55,9 +55,9 @@ class Evaluator:
 
     @torch.no_grad()
     def __post_init__(self) -> None:
-        target = self.reference.look(self.views, seed=SEED, samples=SAMPLES)
-        self.target_grey, self.mask = target.grey, target.coverage
-        self.target = align_srgb(target.grey, target.coverage, target.grey, target.coverage)[1].clamp(0, 1)
+        target = self.reference.render(self.views, seed=SEED, samples=SAMPLES)
+        self.target_grey, (_, _, self.mask) = target.grey, target.geometry
+        self.target = align_srgb(target.grey, self.mask, target.grey, self.mask)[1].clamp(0, 1)
         self.target_gradient = gradient_magnitude(self.target)
 
     @property
@@ -73,7 +73,8 @@ class Evaluator:
     def aligned(self, vertices: Tensor, faces: Tensor | None = None) -> Tensor:
         """``[B,1,H,W]`` the part as it is compared: encoded, aligned, clipped, 0 outside of the mask."""
         part = self.render(vertices, faces)
-        return align_srgb(part.grey, part.coverage, self.target_grey, self.mask)[0].clamp(0, 1)
+        _, _, coverage = part.geometry
+        return align_srgb(part.grey, coverage, self.target_grey, self.mask)[0].clamp(0, 1)
 
     def score(self, image: Tensor, networks: tuple[Network, ...] | None = None) -> dict[str, float | None]:
         """:meth:`scores` of a single part."""

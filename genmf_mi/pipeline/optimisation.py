@@ -146,7 +146,7 @@ def step(optimisation: Optimisation) -> dict[str, float]:
     parameterization, optimiser, stress = optimisation.parameterization, optimisation.optimiser, optimisation.stress
 
     view = sample_view(problem, config, index)
-    reference = problem.training.reference.look([view], seed=index)
+    reference = problem.training.reference.render([view], seed=index)
     geometry = parameterization.geometry()
     image = bridge.render(problem.training.part, [view], geometry.vertices, geometry.faces, seed=index)
 

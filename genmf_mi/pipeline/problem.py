@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +27,9 @@ from genmf_mi.mesh.measures import signed_volume
 from genmf_mi.pipeline import evaluator
 from genmf_mi.render import bridge, target
 from genmf_mi.render import scene as scenes
-from genmf_mi.render.scene import Scene
+from genmf_mi.render.scene import RenderSettings, Scene
 from genmf_mi.render.target import Picture, Reference
-from genmf_mi.sdf.grid import without_specks
+from genmf_mi.sdf.grid import without_small_components
 
 DETAIL_MM = 8.0
 """Longest wavelength that counts as detail on the printed part; what is broader is shape or tone."""
@@ -164,13 +164,15 @@ def build_scenes(
 
     ply = folder / "part.ply"
     normals = bridge.write_ply(ply, vertices, faces)
-    fine = {"radius": radius, "resolution": config.resolution, "samples": config.samples}
+    optimised = RenderSettings(radius, config.resolution, config.samples)
     training = ScenePair(
-        scenes.load(xml, ply, silhouettes=config.silhouettes, **fine),
-        target.make(xml, folder, vertices, faces, normals, albedo, pictures=pictures, **fine),
+        scenes.load(xml, ply, **asdict(optimised), silhouettes=config.silhouettes),
+        target.build_reference(xml, folder, vertices, faces, normals, albedo, optimised, pictures),
     )
-    scored = {"radius": radius, "resolution": evaluator.RESOLUTION, "samples": evaluator.SAMPLES}
-    evaluation = ScenePair(scenes.load(xml, ply, **scored), target.load(xml, folder, pictures=pictures, **scored))
+    scored = RenderSettings(radius, evaluator.RESOLUTION, evaluator.SAMPLES)
+    evaluation = ScenePair(
+        scenes.load(xml, ply, **asdict(scored)), target.load_reference(xml, folder, scored, pictures)
+    )
     return InitialSurface(vertices, faces, normals, albedo(vertices, normals)), training, evaluation
 
 
@@ -180,7 +182,7 @@ def extract(asset: SdfAsset) -> tuple[SdfAsset, solid.Solid]:
     Raises:
         SolidError: the surface is no closed manifold.
     """
-    phi, dropped = without_specks(asset.phi)
+    phi, dropped = without_small_components(asset.phi)
     asset = replace(asset, phi=phi)
     vertices, faces = asset.surface(training=True)
     if not is_solid(vertices, faces):

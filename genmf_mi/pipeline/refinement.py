@@ -32,8 +32,7 @@ from genmf_mi.pipeline.problem import build_problem, parameterize
 from genmf_mi.pipeline.results import Outcome, Result, conclude
 from genmf_mi.pipeline.run_folder import RunFolder
 from genmf_mi.pipeline.stress_stage import StressStage, too_thin
-from genmf_mi.render import scene as scenes
-from genmf_mi.render import variant
+from genmf_mi.render import scene_file, variant
 from genmf_mi.stress.report import verification
 
 SHAPES = ("before", "unconstrained", "after")
@@ -86,7 +85,7 @@ def refine(
     asset = sources.load(asset, textured)
     device = variant.use(config.device)
     lpips_weights.require(*config.networks)
-    xml = Path(scene) if scene else scenes.find(asset.name)
+    xml = Path(scene) if scene else scene_file.find(asset.name)
     run = RunFolder.open(out, asset.name, config, force=force, resume=resume) if out else None
     timer.lap("load")
 

@@ -187,8 +187,8 @@ def write_pictures(
     problem, surface, scorer = outcome.problem, outcome.surface, outcome.evaluator
     buffers = {name: scorer.render(*shape) for name, shape in shapes.items()}
     # The scene still holds the refined shape, which was rendered last
-    relief = bridge.picture_of(scorer.scene, scorer.views, surface.faces, outcome.relief_mm)
-    colour = problem.evaluation.reference.colour(scorer.views)
+    relief = bridge.render_vertex_values(scorer.scene, scorer.views, surface.faces, outcome.relief_mm)
+    colour = problem.evaluation.reference.render_colour(scorer.views)
 
     def image(name: str, channel: str, i: int) -> np.ndarray:
         return getattr(buffers[name], channel)[i, 0].cpu().numpy()
