@@ -166,7 +166,8 @@ def render_vertex_values(
         ray, _ = scene.sensor.sample_ray(0, 0, mi.Point2f(x, y), mi.Point2f(0))
         hit = scene.scene.ray_intersect_preliminary(ray)
         valid = np.array(hit.is_valid()).astype(bool)
-        u, v = (np.where(valid, np.array(c), 0) for c in hit.prim_uv)  # a miss leaves anything in them
+        # Where nothing is hit, the coordinates are undefined
+        u, v = (np.where(valid, np.array(c), 0) for c in hit.prim_uv)
         corners = values[faces[np.where(valid, np.array(hit.prim_index), 0)]]
         blend = (corners * np.stack([1 - u - v, u, v], axis=1)).sum(axis=1)
         images.append(np.where(valid, blend, np.nan).reshape(n, n))
