@@ -220,9 +220,6 @@ def _convert(arguments: list[str]) -> int | None:
 
 
 def _scene(arguments: list[str]) -> int:
-    from genmf_mi.assets import samples
-    from genmf_mi.render.scene import standalone_xml
-
     def author(asset: str, mesh: Path | None = None) -> int:
         """Print a scene file for an asset, to edit and hand back with ``--scene``.
 
@@ -230,6 +227,9 @@ def _scene(arguments: list[str]) -> int:
             asset: A file or the name of a bundled sample.
             mesh: What to name as the mesh in it; NAME.ply if not given. A refinement puts its own mesh there.
         """
+        from genmf_mi.assets import samples
+        from genmf_mi.render.scene import standalone_xml
+
         name = samples.resolve(asset).stem
         print(standalone_xml(name, mesh or f"{name}.ply"), end="")
         return 0
@@ -250,8 +250,6 @@ def _stress(arguments: list[str]) -> int:
 
 
 def _weights(arguments: list[str]) -> int:
-    from genmf_mi.losses.lpips_conversion import install
-
     def weights(source: Annotated[Path | None, tyro.conf.arg(name="from")] = None, force: bool = False) -> int:
         """Install the LPIPS weights.
 
@@ -259,6 +257,8 @@ def _weights(arguments: list[str]) -> int:
             source: Archive, .ckpt file or folder; fetched if not given.
             force: Convert again even if they are installed.
         """
+        from genmf_mi.losses.lpips_conversion import install
+
         print(f"LPIPS weights in {install(source, force=force)}")
         return 0
 
