@@ -71,7 +71,7 @@ def descend(path: Path, steps: int, rate: float, weights: Path | None) -> dict:
         print(step, {key: round(value, 4) for key, value in told.items()}, flush=True)
     _, told = penalty(relief.moved().shape)
     shapes = {"before": (piece.vertices, piece.faces), "after": relief.surface(relief.reached())}
-    found = verdict.judge(shapes, piece.frame)["ratio"]["after"]
+    found = verdict.verify(shapes, piece.frame)["ratio"]["after"]
     moved = relief.offsets().detach().norm(dim=1) * piece.frame.mm_per_unit
     return {
         "told": {key: round(value, 4) for key, value in told.items()},

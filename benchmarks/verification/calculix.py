@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks import verification
 from genmf_mi.sdf.distance import signed_distance
 from genmf_mi.stress.fem import simulation as fem
-from genmf_mi.stress.fem import surface, tetrahedra
+from genmf_mi.stress.fem import surface, tet_mesh, tetrahedra
 from genmf_mi.stress.fem.elasticity import soft_clamp, von_mises
 from genmf_mi.stress.fem.materials import material
 from genmf_mi.stress.fem.protocol import Protocol
@@ -86,8 +86,8 @@ def compare(name: str, vertices, faces, edge_mm: float) -> dict:
     stuff, protocol = material("pla"), PROTOCOL
     frame = fem.frame_of(vertices, 100.0)
     phi = signed_distance(frame.normalise(vertices), faces, 129)
-    mesh, _ = tetrahedra.largest_body(tetrahedra.isosurface_stuffing(phi, edge_mm / frame.mm_per_unit))
-    mesh = mesh.moved(frame.to_print(mesh.points))
+    mesh, _ = tet_mesh.largest_component(tetrahedra.isosurface_stuffing(phi, edge_mm / frame.mm_per_unit))
+    mesh = mesh.with_points(frame.to_print(mesh.points))
     started = time.process_time()
     ours = fem.solve(mesh, stuff, protocol)
     seconds = time.process_time() - started
