@@ -72,7 +72,7 @@ def test_bad_surfaces(tmp_path: Path) -> None:
 def test_a_solve_that_does_not_converge_gives_no_field() -> None:
     matrix = sp.diags([1.0, 1e-9, -1.0]).tocsr()
     with pytest.raises(SolveError, match="did not converge"):
-        solve_spd(matrix, np.ones(3), None, 1e-9, most=20)
+        solve_spd(matrix, np.ones(3), None, 1e-9, max_iterations=20)
 
 
 def exported(path: Path, vertices, faces) -> Path:
@@ -116,7 +116,7 @@ def test_a_bad_shape_ends_the_command(name: str, tmp_path: Path, capsys: pytest.
         ["--material", "wood"],
         ["--edge-mm", "0"],
         ["--protocol.ambient-end-celsius", "nan"],
-        ["--protocol.film-w-m2k", "-5"],
+        ["--protocol.heat-transfer-coefficient-w-m2k", "-5"],
     ],
 )
 def test_a_bad_setting_ends_the_command(

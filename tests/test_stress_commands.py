@@ -129,10 +129,10 @@ def test_the_surface_band_is_weighted_by_volume() -> None:
     frame = Frame((0.0, 0.0, 0.0), HALF_EXTENT, 100.0)
     phi = (np.sqrt(x**2 + y**2 + z**2) - HALF_EXTENT).astype(np.float32)
     mesh = isosurface_stuffing(phi, 3.0 / frame.mm_per_unit)
-    elements = P1(mesh.moved(frame.to_print(mesh.points)))
+    elements = P1(mesh.with_points(frame.to_print(mesh.points)))
     depth = 50.0 - frame.mm_per_unit * np.linalg.norm(mesh.points[mesh.cells].mean(axis=1), axis=1)
     nodes = np.zeros(len(mesh.points))
-    field = fem.Field(elements, nodes, np.zeros((len(nodes), 3)), np.zeros((len(depth), 3, 3)), depth, nodes, 0, {})
+    field = fem.Field(elements, nodes, np.zeros((len(nodes), 3)), np.zeros((len(depth), 3, 3)), depth, nodes, 0)
     band = summary(fem.Simulation(fem.Settings(), frame, phi, mesh, field, [], 0.0, {}))["surface_band"]
     radii = np.linspace(46.0, 50.0, 4001)
     assert band["volume_fraction"] == pytest.approx(1 - 0.92**3, rel=0.03)

@@ -8,6 +8,8 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from genmf_mi.cli import bars
+from genmf_mi.core.files import claim_folder
+from genmf_mi.core.progress import Progress
 from genmf_mi.stress.fem.protocol import Protocol
 from genmf_mi.stress.training.config import TrainConfig
 
@@ -43,7 +45,7 @@ def simulate(
 
     settings = Settings(size_mm, edge_mm, grid, material, protocol)
     out = out or Path("runs") / f"{asset.stem}-stress"
-    output.claim(out, output.FILES, force)
+    claim_folder(out, "simulation", finished=output.FILES, force=force)
     with bars.stages() as bar:
         simulation = _simulated(asset, settings, bar)
         numbers = {"asset": asset.name, **summary(simulation)}
@@ -94,7 +96,7 @@ def compare(
 
     settings = Settings(size_mm, edge_mm, grid, material, protocol)
     out = out or Path("runs") / f"{a.stem}-{b.stem}-stress"
-    output.claim(out, ("compare.json", "compare.png"), force)
+    claim_folder(out, "comparison", finished=("compare.json", "compare.png"), force=force)
     with bars.stages() as bar:
         before = _simulated(a, settings, lambda stage, done: bar(f"{a.stem}: {stage}", 0.45 * done))
         size = size_mm * relative_size(before.frame, b)
@@ -229,7 +231,7 @@ def predict(
     from genmf_mi.stress.report import output
 
     out = out or Path("runs") / f"{asset.stem}-predicted"
-    output.claim(out, output.FILES, force)
+    claim_folder(out, "simulation", finished=output.FILES, force=force)
     with bars.stages() as bar:
         bar("reading", 0.0)
         predictor = Predictor(weights, device)
@@ -266,12 +268,28 @@ def caption(numbers: dict) -> str:
 
 def _simulated(path: Path, settings, progress):
     from genmf_mi.stress.fem import simulation as fem
-    from genmf_mi.stress.fem import surface, tetrahedra
+    from genmf_mi.stress.fem import surface, volume_mesh
 
-    progress("reading", 0.0)
-    if surface.is_volume(path):
-        return fem.simulate_tetrahedra(tetrahedra.read(path), settings, progress)
-    return fem.simulate(*surface.load(path), settings, progress)
+    bar = _Bar(progress)
+    bar.stage("reading")
+    if volume_mesh.is_volume_mesh(path):
+        return fem.simulate_tetrahedra(volume_mesh.read(path), settings, progress=bar)
+    return fem.simulate(*surface.load(path), settings, progress=bar)
+
+
+class _Bar(Progress):
+    """Shows a simulation on a bar of :func:`genmf_mi.cli.bars.stages`."""
+
+    def __init__(self, show) -> None:
+        self._show, self._stage, self._done = show, "", 0.0
+
+    def stage(self, name: str) -> None:
+        self._stage = name
+        self._show(name, self._done)
+
+    def advance(self, done: float, total: float, values=None) -> None:
+        self._done = done / total
+        self._show(self._stage, self._done)
 
 
 def _warn(path: Path, numbers: dict) -> None:

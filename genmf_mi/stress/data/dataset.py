@@ -22,6 +22,7 @@ import numpy as np
 
 from genmf_mi.core.errors import ConfigError, GenmfError, OutputError
 from genmf_mi.core.files import atomic, write_text
+from genmf_mi.core.timer import Timer
 from genmf_mi.stress.fem.simulation import Settings
 
 MESHES = (".ply", ".glb", ".gltf", ".obj", ".stl", ".off", ".3mf")
@@ -156,22 +157,22 @@ def make(index: int, settings: DatasetSettings) -> tuple[dict[str, np.ndarray], 
 
     simulation = settings.simulation
     what = recipe.recipe(index, settings.seed, settings.sources, settings.same)
-    laps = fem.Laps()
+    timer = Timer()
     vertices, faces = recipe.surface_of(what, settings.seed, simulation.size_mm, simulation.grid)
-    laps("shape", 0.0)
+    timer.lap("shape")
     layers, phi = codec.pack_distance(distance.signed_distance(vertices, faces, simulation.grid))
     thin = distance.lost_fraction(vertices, faces, phi.astype(np.float32))
-    laps("distance", 0.0)
+    timer.lap("distance")
     recipe.check_thin(what, thin)
     frame = fem.frame_of(vertices, simulation.size_mm)
-    result = fem.simulate_distance(phi.astype(np.float32), frame, simulation, laps, thin)
+    result = fem.simulate_distance(phi.astype(np.float32), frame, simulation, thin_fraction=thin, timer=timer)
     recipe.check_whole(what, result.dropped, float(result.field.elements.volumes.sum()))
     field_on_grid, filled = result.on_grid()
     layers |= codec.pack_stress(field_on_grid, phi)
-    laps("grid", 1.0)
+    timer.lap("grid")
     numbers = statistics.summary(result)
     del numbers["settings"]
-    numbers["seconds"] = laps.seconds
+    numbers["seconds"] = {name: round(seconds, 3) for name, seconds in timer.seconds.items()}
     record = {
         "index": index,
         "file": f"samples/{index:06d}.npz",

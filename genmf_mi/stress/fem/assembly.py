@@ -12,12 +12,14 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from genmf_mi.stress.fem.tetrahedra import TetMesh
+from genmf_mi.stress.fem.shape_functions import ShapeFunctions, triangle_areas
+from genmf_mi.stress.fem.tet_mesh import TetMesh
 
 _PAIRS = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
+"""Corners of the six edges of a cell."""
 
 
-class P1:
+class P1(ShapeFunctions[np.ndarray]):
     """P1 elements on one mesh, in millimetres.
 
     volumes: ``[T]``, mm³. gradients: ``[T,4,3]``, of the four shape functions, 1/mm.
@@ -25,16 +27,8 @@ class P1:
     """
 
     def __init__(self, mesh: TetMesh) -> None:
+        super().__init__(mesh.points, mesh.cells)
         self.mesh = mesh
-        self.nodes = len(mesh.points)
-        corner = mesh.points[mesh.cells]
-        edges = corner[:, 1:] - corner[:, :1]
-        crossed = np.stack([np.cross(edges[:, (i + 1) % 3], edges[:, (i + 2) % 3]) for i in range(3)], axis=1)
-        six_volumes = np.einsum("ti,ti->t", edges[:, 0], crossed[:, 0])
-        self.volumes = six_volumes / 6
-        self.gradients = np.empty((len(mesh.cells), 4, 3))
-        self.gradients[:, 1:] = crossed / six_volumes[:, None, None]
-        self.gradients[:, 0] = -self.gradients[:, 1:].sum(axis=1)
 
     @cached_property
     def boundary(self) -> np.ndarray:
@@ -42,13 +36,13 @@ class P1:
 
     @cached_property
     def areas(self) -> np.ndarray:
-        a, b, c = (self.mesh.points[self.boundary[:, i]] for i in range(3))
-        return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+        return triangle_areas(self.points, self.boundary)
 
     @cached_property
     def _edges(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Ends of every edge (low, high), the edge of each pair of each cell ``[T,6]``, and where the low end leads."""
-        ends = self.mesh.cells[:, _PAIRS]
+        """Ends of every edge (low, high), the edge of each pair of each cell ``[T,6]``, and whether its
+        low end comes first."""
+        ends = self.cells[:, _PAIRS]
         ordered = ends[..., 0] < ends[..., 1]
         key = np.where(ordered, ends[..., 0], ends[..., 1]) * self.nodes + np.where(ordered, ends[..., 1], ends[..., 0])
         order = np.argsort(key, axis=None, kind="stable")
@@ -72,7 +66,7 @@ class P1:
     def matrix(self, diagonal: np.ndarray, pairs: np.ndarray) -> sp.csr_matrix:
         """A symmetric matrix from element entries: ``diagonal [T,4]`` and ``pairs [T,6]`` (01 02 03 12 13 23)."""
         low, _, index, _ = self._edges
-        own = np.bincount(self.mesh.cells.reshape(-1), diagonal.reshape(-1), self.nodes)
+        own = np.bincount(self.cells.reshape(-1), diagonal.reshape(-1), self.nodes)
         off = np.bincount(index.reshape(-1), pairs.reshape(-1), len(low))
         pointers, columns, order = self._pattern
         return sp.csr_matrix((np.concatenate([own, off, off])[order], columns, pointers), (self.nodes, self.nodes))
@@ -94,15 +88,11 @@ class P1:
         rows, columns = np.repeat(self.boundary, 3, axis=1), np.tile(self.boundary, (1, 3))
         entries = self.areas[:, None] * local.reshape(1, 9)
         shape = (self.nodes, self.nodes)
-        return sp.coo_matrix((entries.reshape(-1), (rows.reshape(-1), columns.reshape(-1))), shape).tocsr()
+        return sp.csr_matrix((entries.reshape(-1), (rows.reshape(-1), columns.reshape(-1))), shape)
 
     def boundary_load(self) -> np.ndarray:
         """∮ v over the whole surface, ``[N]``, mm²."""
         return np.bincount(self.boundary.reshape(-1), np.repeat(self.areas / 3, 3), self.nodes)
-
-    def nodal_volume(self) -> np.ndarray:
-        """∫ v, the volume that belongs to each node, ``[N]``, mm³."""
-        return np.bincount(self.mesh.cells.reshape(-1), np.repeat(self.volumes / 4, 4), self.nodes)
 
     def elastic(self, lam: float, mu: float, spring: np.ndarray | None = None) -> sp.bsr_matrix:
         """∫ λ div u div v + 2μ ε(u):ε(v), plus an isotropic nodal ``spring [N]`` in N/mm, in 3×3 blocks, N/mm."""
@@ -110,7 +100,7 @@ class P1:
         g, v = self.gradients, self.volumes
         pointers, columns, order = self._pattern
         blocks = np.empty((len(order), 3, 3))
-        cells, edge = self.mesh.cells.reshape(-1), index.reshape(-1)
+        cells, edge = self.cells.reshape(-1), index.reshape(-1)
         # The pair's gradients, that of the lower node first.
         first, second = _PAIRS.T
         a = np.where(ordered[..., None], g[:, first], g[:, second])
@@ -135,17 +125,5 @@ class P1:
     def divergence_load(self, pressure: np.ndarray) -> np.ndarray:
         """∫ p div v for one pressure per cell ``[T]`` in MPa, ``[N,3]`` in N."""
         weighted = (self.volumes * pressure)[:, None, None] * self.gradients
-        cells = self.mesh.cells.reshape(-1)
+        cells = self.cells.reshape(-1)
         return np.stack([np.bincount(cells, weighted[..., i].reshape(-1), self.nodes) for i in range(3)], axis=1)
-
-    def strain(self, displacement: np.ndarray) -> np.ndarray:
-        """ε of ``displacement [N,3]`` in each cell, ``[T,3,3]``."""
-        gradient = np.einsum("tai,taj->tij", displacement[self.mesh.cells], self.gradients)
-        return (gradient + gradient.transpose(0, 2, 1)) / 2
-
-    def to_nodes(self, value: np.ndarray) -> np.ndarray:
-        """Volume-weighted average of one value per cell ``[T]`` at the nodes, ``[N]``."""
-        weight = np.repeat(self.volumes, 4)
-        cells = self.mesh.cells.reshape(-1)
-        total = np.bincount(cells, np.repeat(self.volumes * value, 4), self.nodes)
-        return total / np.bincount(cells, weight, self.nodes)

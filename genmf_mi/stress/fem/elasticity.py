@@ -8,18 +8,21 @@ refinement.
 from __future__ import annotations
 
 import warnings
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from genmf_mi.stress.fem.assembly import P1
-from genmf_mi.stress.fem.linear import solve_spd
+from genmf_mi.stress.fem.linear import preconditioner_of, solve_spd
 from genmf_mi.stress.fem.materials import Material
+from genmf_mi.stress.fem.shape_functions import Array, ShapeFunctions, namespace
 
 TOLERANCE = 1e-6
+"""Relative residual of the equilibrium."""
 
 
-def soft_clamp(height, nodal_volume, modulus_mpa: float, fraction: float):
+def soft_clamp(height: Array, nodal_volume: Array, modulus_mpa: float, fraction: float) -> Array:
     """Spring stiffness of each node in N/mm, ``[N]``; arrays or tensors.
 
     w is 1 up to half of δ above the lowest node and falls to 0, smoothly, at 1.5 δ.
@@ -30,19 +33,20 @@ def soft_clamp(height, nodal_volume, modulus_mpa: float, fraction: float):
         fraction: δ as a fraction of the height of the body.
     """
     base = height.min()
-    extent = height.max() - base
+    extent: Any = height.max() - base
     profile = clamp_profile((height - base) / extent, fraction)
     return modulus_mpa / (fraction * extent / 2) ** 2 * profile * nodal_volume
 
 
-def clamp_profile(height, fraction: float):
+def clamp_profile(height: Array, fraction: float) -> Array:
     """w, 0..1, at ``height`` above the base as a fraction of that of the body; an array or a tensor."""
     x = (height / fraction - 0.5).clip(0.0, 1.0)
     return 1.0 - x * x * (3.0 - 2.0 * x)
 
 
 def rigid_motions(points: np.ndarray) -> np.ndarray:
-    """The six rigid body motions of ``points [N,3]`` as columns, ``[3N,6]``: what a multigrid must get right."""
+    """The six rigid body motions of ``points [N,3]`` as columns ``[3N,6]``. The coarse levels of a multigrid must
+    represent them exactly."""
     x = points - points.mean(axis=0)
     motions = np.zeros((len(x), 3, 6))
     motions[:, :, :3] = np.eye(3)
@@ -51,7 +55,7 @@ def rigid_motions(points: np.ndarray) -> np.ndarray:
     return motions.reshape(-1, 6)
 
 
-def multigrid(matrix: sp.bsr_matrix, points: np.ndarray):
+def multigrid(matrix: sp.bsr_matrix, points: np.ndarray) -> sp.linalg.LinearOperator:
     """Smoothed-aggregation multigrid (pyamg) for an elastic matrix in 3×3 blocks, as a preconditioner: one V-cycle.
 
     pyamg builds the hierarchy; the cycle is ours because pyamg's measures two residuals more per call. On the finest
@@ -62,14 +66,13 @@ def multigrid(matrix: sp.bsr_matrix, points: np.ndarray):
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # pyamg warns of its own conversions between sparse formats
-        levels = pyamg.smoothed_aggregation_solver(
-            matrix,
-            B=rigid_motions(points),
-            strength=("symmetric", {"theta": 0.0}),
-            smooth=("jacobi", {"omega": 4 / 3}),
-            improve_candidates=None,
-            max_coarse=500,
-        ).levels
+        options: dict[str, Any] = {
+            "strength": ("symmetric", {"theta": 0.0}),
+            "smooth": ("jacobi", {"omega": 4 / 3}),
+            "improve_candidates": None,
+            "max_coarse": 500,
+        }
+        levels = pyamg.smoothed_aggregation_solver(matrix, B=rigid_motions(points), **options).levels
     levels[0].A = matrix.tocsr()
     coarsest = np.linalg.pinv(levels[-1].A.toarray(), hermitian=True)
 
@@ -83,13 +86,14 @@ def multigrid(matrix: sp.bsr_matrix, points: np.ndarray):
         gauss_seidel(level.A, solution, load, sweep="backward")
         return solution
 
-    return sp.linalg.LinearOperator(matrix.shape, cycle, dtype=np.float64)
+    return preconditioner_of(matrix, cycle)
 
 
 class Equilibrium:
-    """The elastic equilibrium on one mesh, for as many loads as one likes.
+    """The elastic equilibrium on one mesh, for any number of loads.
 
-    spring: of each node in N/mm, ``[N]``.
+    Args:
+        spring: stiffness of the clamp at each node in N/mm, ``[N]``.
     """
 
     def __init__(self, elements: P1, material: Material, spring: np.ndarray) -> None:
@@ -107,23 +111,36 @@ class Equilibrium:
         return solution.reshape(-1, 3), count
 
 
-def thermal_load(elements: P1, material: Material, excess_k: np.ndarray) -> np.ndarray:
-    """Forces in N ``[N,3]`` of the temperature excess over the stress-free one, ``[N]`` in K."""
-    cell_excess = excess_k[elements.mesh.cells].mean(axis=1)
-    return elements.divergence_load(material.thermal_modulus * cell_excess)
+def thermal_load(elements: P1, material: Material, temperature_rise: np.ndarray) -> np.ndarray:
+    """Forces in N ``[N,3]`` of the temperature rise above the stress-free one, ``[N]`` in K."""
+    return elements.divergence_load(material.thermal_modulus * temperature_rise[elements.cells].mean(axis=1))
 
 
-def stress(elements: P1, material: Material, moved: np.ndarray, excess_k: np.ndarray) -> np.ndarray:
-    """σ in MPa in each cell, ``[T,3,3]``. The temperature is averaged over the cell, as ε is constant in it."""
+def stress(elements: ShapeFunctions[Array], material: Material, displacement: Array, temperature_rise: Array) -> Array:
+    """σ in MPa in each cell, ``[T,3,3]``; arrays or tensors. The temperature is averaged over the cell, as ε is
+    constant in it.
+
+    Args:
+        displacement: mm, ``[N,3]``.
+        temperature_rise: above the stress-free temperature in K, ``[N]``.
+    """
     lam, mu = material.lame
-    strain = elements.strain(moved)
-    excess = excess_k[elements.mesh.cells].mean(axis=1)
-    pressure = lam * np.trace(strain, axis1=1, axis2=2) - material.thermal_modulus * excess
-    return 2 * mu * strain + pressure[:, None, None] * np.eye(3)
+    strain = elements.strain(displacement)
+    pressure = lam * trace(strain) - material.thermal_modulus * temperature_rise[elements.cells].mean(1)
+    return 2 * mu * strain + pressure[:, None, None] * namespace(strain).eye(3, dtype=strain.dtype)
 
 
-def von_mises(tensor: np.ndarray) -> np.ndarray:
-    """√(3/2 s:s) with s the deviator of ``tensor [...,3,3]``."""
-    mean = np.trace(tensor, axis1=-2, axis2=-1) / 3
-    deviator = tensor - mean[..., None, None] * np.eye(3)
-    return np.sqrt(1.5 * (deviator**2).sum(axis=(-2, -1)))
+def von_mises(stress: Array) -> Array:
+    """√(3/2 s:s) with s the deviator of the symmetric ``stress [...,3,3]``; arrays or tensors.
+
+    Where there is no stress it is 1e-10, as the root has no derivative at 0.
+    """
+    xx, yy, zz = (stress[..., i, i] for i in range(3))
+    normal = ((xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2) / 2
+    shear = stress[..., 0, 1] ** 2 + stress[..., 1, 2] ** 2 + stress[..., 2, 0] ** 2
+    return (normal + 3 * shear).clip(1e-20) ** 0.5
+
+
+def trace(tensor: Array) -> Array:
+    """Of ``[...,3,3]``."""
+    return tensor[..., 0, 0] + tensor[..., 1, 1] + tensor[..., 2, 2]

@@ -5,35 +5,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
+from genmf_mi.core.progress import Progress
 from genmf_mi.stress.fem.assembly import P1
 from genmf_mi.stress.fem.linear import jacobi, solve_spd
 from genmf_mi.stress.fem.materials import Material
 
 TOLERANCE = 1e-7
+"""Relative residual of a time step."""
 
 
 class Cooling:
-    """The heat equation on one mesh, for T − T₀, whose scale is that of the change and not that of the thermometer.
+    """The heat equation on one mesh, for T − T₀, so that the tolerance is relative to the change of temperature.
 
-    A step solves A T_k = C T_{k−1} + b T_amb,k with A = C + K + B: capacity, conduction, and the film on the surface.
+    A time step solves A T_k = C T_{k−1} + b T_amb,k with A = C + K + B: capacity, conduction, and convection at the
+    surface.
+
+    Args:
+        heat_transfer_coefficient: h in W/(mm² K).
+        step_s: length of a time step.
     """
 
-    def __init__(
-        self, elements: P1, material: Material, heat_transfer_coefficient_w_mm2k: float, step_s: float
-    ) -> None:
+    def __init__(self, elements: P1, material: Material, heat_transfer_coefficient: float, step_s: float) -> None:
         self.capacity = elements.mass() * (material.volumetric_heat_j_mm3k / step_s)
-        loss = elements.boundary_mass() * heat_transfer_coefficient_w_mm2k
-        self.system = (self.capacity + elements.stiffness() * material.conductivity_w_mmk + loss).tocsr()
-        self.inflow = elements.boundary_load() * heat_transfer_coefficient_w_mm2k
+        convection = elements.boundary_mass() * heat_transfer_coefficient
+        self.system = (self.capacity + elements.stiffness() * material.conductivity_w_mmk + convection).tocsr()
+        self.inflow = elements.boundary_load() * heat_transfer_coefficient
         # One step couples a node to little more than its neighbours, so a diagonal preconditioner is enough.
         self._preconditioner = jacobi(self.system)
 
-    def run(self, ambient: np.ndarray, progress: Callable[[int, int], None] | None = None) -> np.ndarray:
-        """T_k − T₀ of each step ``[K+1,N]``, the first of them zero.
+    def run(self, ambient: np.ndarray, progress: Progress | None = None) -> np.ndarray:
+        """T_k − T₀ after each time step ``[K+1,N]``, the first of them zero.
 
         Args:
             ambient: T_amb − T₀ at each step, ``[K]``.
@@ -41,13 +44,13 @@ class Cooling:
         Raises:
             SolveError: a step did not converge.
         """
-        excess = np.zeros((len(ambient) + 1, len(self.inflow)))
-        for step, around in enumerate(ambient, start=1):
-            load = self.capacity @ excess[step - 1] + self.inflow * around
-            excess[step] = self._solve(load, guess=excess[step - 1])
-            if progress is not None:
-                progress(step, len(ambient))
-        return excess
+        progress = progress or Progress()
+        temperature_rise = np.zeros((len(ambient) + 1, len(self.inflow)))
+        for step, outside in enumerate(ambient, start=1):
+            previous = temperature_rise[step - 1]
+            temperature_rise[step] = self._solve(self.capacity @ previous + self.inflow * outside, guess=previous)
+            progress.advance(step, len(ambient))
+        return temperature_rise
 
     def adjoint(self, gradient: np.ndarray, steps: int) -> np.ndarray:
         """Multipliers μ_k of each step ``[K,N]``, for the ``gradient [N]`` of a scalar with respect to the last T: if

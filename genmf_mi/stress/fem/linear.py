@@ -1,6 +1,9 @@
-"""Conjugate gradients that either converge or say so."""
+"""Conjugate gradients that either converge or raise."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import scipy.sparse.linalg as spl
@@ -12,20 +15,34 @@ class SolveError(GenmfError):
     """A linear system did not converge; no field is returned."""
 
 
-def jacobi(matrix) -> spl.LinearOperator:
-    """The inverse of the diagonal, as a preconditioner."""
+def jacobi(matrix: Any) -> spl.LinearOperator:
+    """The inverse of the diagonal of a sparse matrix, as a preconditioner."""
     inverse = 1.0 / matrix.diagonal()
-    return spl.LinearOperator(matrix.shape, lambda x: inverse * x, dtype=np.float64)
+    return preconditioner_of(matrix, lambda x: inverse * x)
 
 
-def solve_spd(matrix, load, preconditioner, tolerance, guess=None, what="the system", most=2000):
+def preconditioner_of(matrix: Any, apply: Callable[[np.ndarray], np.ndarray]) -> spl.LinearOperator:
+    """``apply`` as a preconditioner of the square ``matrix``."""
+    constructor: Any = spl.LinearOperator  # its stub has the dtype twice
+    return constructor(matrix.shape, matvec=apply, dtype=np.float64)
+
+
+def solve_spd(
+    matrix: Any,
+    load: np.ndarray,
+    preconditioner: spl.LinearOperator | None,
+    tolerance: float,
+    guess: np.ndarray | None = None,
+    what: str = "the system",
+    max_iterations: int = 2000,
+) -> tuple[np.ndarray, int]:
     """Solve a symmetric positive definite system to a relative residual of ``tolerance``.
 
     Returns:
         The solution ``[N]`` and the number of iterations.
 
     Raises:
-        SolveError: not converged within ``most`` iterations, or the result is not finite.
+        SolveError: not converged within ``max_iterations`` iterations, or the result is not finite.
     """
     count = 0
 
@@ -38,7 +55,7 @@ def solve_spd(matrix, load, preconditioner, tolerance, guess=None, what="the sys
         return np.zeros_like(load), 0
     with np.errstate(all="ignore"):
         solution, _ = spl.cg(
-            matrix, load, x0=guess, rtol=tolerance, atol=0.0, maxiter=most, M=preconditioner, callback=tick
+            matrix, load, x0=guess, rtol=tolerance, atol=0.0, maxiter=max_iterations, M=preconditioner, callback=tick
         )
         residual = np.linalg.norm(load - matrix @ solution) / norm
     if not residual <= 10 * tolerance:

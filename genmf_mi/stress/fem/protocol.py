@@ -14,8 +14,8 @@ class Protocol:
 
     The part starts at the stress-free temperature of its material, everywhere. The ambient temperature falls from there
     to ``ambient_end_celsius`` linearly within ``ramp_s``; the field is recorded at ``record_s``, while the part is
-    still warmer inside than outside. At equilibrium the field would come from the clamped base alone and not see
-    relief.
+    still warmer inside than outside. At equilibrium the field would come from the clamped base alone and would
+    not depend on relief.
     """
 
     ambient_end_celsius: float = 25.0

@@ -1,4 +1,4 @@
-"""The closed surface, or the volume mesh, that a file holds."""
+"""The closed surface that an asset file holds."""
 
 from __future__ import annotations
 
@@ -7,9 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from genmf_mi.core.errors import AssetError
-
-VOLUMES = (".vtu", ".vtk", ".msh", ".mesh", ".xdmf", ".inp", ".bdf", ".med")
-"""Suffixes that are read as volume meshes."""
 
 
 def load(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
@@ -26,7 +23,3 @@ def load(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
     asset = load_asset(path)
     body = solid.solidify(asset.name, asset.vertices, asset.faces)
     return body.vertices, body.faces
-
-
-def is_volume(path: str | Path) -> bool:
-    return Path(path).suffix.lower() in VOLUMES

@@ -7,12 +7,11 @@ quadrilateral is split, so the mesh is conforming, and no dihedral angle is ever
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from genmf_mi.core.errors import SolidError
 from genmf_mi.sdf.distance import sample
+from genmf_mi.stress.fem.tet_mesh import TetMesh, compact
 
 WARP_LONG, WARP_SHORT = 0.24999, 0.41189
 """A cut nearer to an end than this fraction of a long or short lattice edge pulls that end onto the surface
@@ -20,40 +19,6 @@ WARP_LONG, WARP_SHORT = 0.24999, 0.41189
 
 QUALITY_FLOOR = 0.2
 """Mean-ratio quality that every tetrahedron of a stuffed mesh must reach (1 is regular, 0 flat)."""
-
-_FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
-"""Faces of a tetrahedron, outward, face i opposite to corner i."""
-
-
-@dataclass(frozen=True)
-class TetMesh:
-    """points: float64 ``[N,3]``; cells: int64 ``[T,4]``, positively oriented."""
-
-    points: np.ndarray
-    cells: np.ndarray
-
-    @property
-    def volumes(self) -> np.ndarray:
-        """Signed volumes ``[T]``."""
-        a, b, c, d = (self.points[self.cells[:, i]] for i in range(4))
-        return np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) / 6
-
-    @property
-    def quality(self) -> np.ndarray:
-        """Mean ratio 12 (3V)^(2/3) / Σ ℓ² of each cell, ``[T]``; 1 for a regular tetrahedron."""
-        corner = self.points[self.cells]
-        squares = sum(((corner[:, i] - corner[:, j]) ** 2).sum(axis=1) for i in range(4) for j in range(i))
-        volume = self.volumes
-        return np.sign(volume) * 12 * (3 * np.abs(volume)) ** (2 / 3) / squares
-
-    def boundary(self) -> np.ndarray:
-        """Outward boundary triangles ``[B,3]``."""
-        faces, owner, _ = _unique_faces(self.cells)
-        return self.cells[:, _FACES].reshape(-1, 3)[faces[owner == 1]]
-
-    def moved(self, points: np.ndarray) -> TetMesh:
-        """The same cells at other points."""
-        return TetMesh(np.ascontiguousarray(points, dtype=np.float64), self.cells)
 
 
 def isosurface_stuffing(phi: np.ndarray, edge: float) -> TetMesh:
@@ -74,74 +39,13 @@ def isosurface_stuffing(phi: np.ndarray, edge: float) -> TetMesh:
     is_long = _long_test(corners)
     lattice, value = _warp(lattice, value, cells, is_long)
     cells = _touched(value, cells)
-    mesh = _compact(*_split(lattice, value, cells, is_long))
+    mesh = compact(*_split(lattice, value, cells, is_long)).oriented()
     worst = float(mesh.quality.min())
     if worst < QUALITY_FLOOR:
         raise SolidError(
             f"a tetrahedron of quality {worst:.3f} came out, below {QUALITY_FLOOR}; choose another --edge-mm."
         )
     return mesh
-
-
-def largest_body(mesh: TetMesh) -> tuple[TetMesh, list[float]]:
-    """The largest part held together by shared faces, and the volumes of the parts left out, largest first.
-
-    Parts that touch in an edge or a point only are separate: such a hinge carries no moment.
-    """
-    import scipy.sparse as sp
-    from scipy.sparse.csgraph import connected_components
-
-    faces, count, partner = _unique_faces(mesh.cells)
-    shared = count == 2
-    a, b = faces[shared] // 4, partner[shared] // 4
-    size = len(mesh.cells)
-    graph = sp.coo_matrix((np.ones(len(a), dtype=bool), (a, b)), shape=(size, size))
-    parts, part = connected_components(graph, directed=False)
-    volume = np.bincount(part, mesh.volumes, parts)
-    keep = part == volume.argmax()
-    rest = sorted(np.delete(volume, volume.argmax()).tolist(), reverse=True)
-    used, cells = np.unique(mesh.cells[keep], return_inverse=True)
-    return TetMesh(mesh.points[used], cells.reshape(-1, 4)), rest
-
-
-def read(path: str) -> TetMesh:
-    """The tetrahedra of a volume mesh that meshio reads (VTU, MSH, MESH, XDMF, ...), in the units of the file.
-
-    Raises:
-        SolidError: unreadable, without tetrahedra, not numbers, or with cells of zero or negative volume.
-    """
-    import meshio
-
-    try:
-        raw = meshio.read(path)
-    except (SystemExit, Exception) as error:  # meshio ends the interpreter on some unreadable files
-        raise SolidError(f"cannot read {path} as a volume mesh: {error}.") from error
-    blocks = [block.data for block in raw.cells if block.type == "tetra"]
-    if not blocks:
-        raise SolidError(f"{path} holds no linear tetrahedra; export the volume mesh with element type tetra.")
-    points = np.asarray(raw.points, dtype=np.float64)
-    if not np.isfinite(points).all():
-        raise SolidError(f"{path} has nodes that are not numbers; export the mesh again.")
-    cells = np.concatenate(blocks).astype(np.int64)
-    used, cells = np.unique(cells, return_inverse=True)
-    mesh = TetMesh(points[used], cells.reshape(-1, 4))
-    volumes = mesh.volumes
-    cells = np.where((volumes < 0)[:, None], mesh.cells[:, [0, 2, 1, 3]], mesh.cells)
-    extent = float(np.ptp(mesh.points, axis=0).max())
-    if np.abs(volumes).min() <= 1e-15 * extent**3:
-        raise SolidError(f"{path} has tetrahedra of zero volume; repair the mesh first.")
-    return TetMesh(mesh.points, cells)
-
-
-def _unique_faces(cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Each face once: where it first occurs, as ``4·cell + corner``, how often, and where it last occurs."""
-    corner = np.sort(cells[:, _FACES].reshape(-1, 3), axis=1)
-    size = int(cells.max()) + 1
-    key = (corner[:, 0] * size + corner[:, 1]) * size + corner[:, 2]
-    order = np.argsort(key, kind="stable")
-    start = np.flatnonzero(np.r_[True, np.diff(key[order]) != 0])
-    stop = np.r_[start[1:], len(order)]
-    return order[start], stop - start, order[stop - 1]
 
 
 def _lattice(phi: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray, int]:
@@ -296,11 +200,3 @@ def _prism(top: np.ndarray, bottom: np.ndarray, forward: np.ndarray) -> list[np.
     first = np.stack([t[:, 0], b[:, 0], b[:, 1], b[:, 2]], axis=1)
     across = _pyramid(t[:, 1], t[:, 2], b[:, 2], b[:, 1], t[:, 0], middle)
     return [first, *across]
-
-
-def _compact(points: np.ndarray, cells: np.ndarray) -> TetMesh:
-    """Orient the cells and drop unused points."""
-    used, cells = np.unique(cells, return_inverse=True)
-    mesh = TetMesh(points[used], cells.reshape(-1, 4))
-    flip = mesh.volumes < 0
-    return TetMesh(mesh.points, np.where(flip[:, None], mesh.cells[:, [0, 2, 1, 3]], mesh.cells))

@@ -13,11 +13,11 @@ from torch import Tensor
 from genmf_mi.core.frame import Frame
 from genmf_mi.sdf import distance
 from genmf_mi.sdf.redistance import redistance
-from genmf_mi.stress.fem import tetrahedra
+from genmf_mi.stress.fem import tet_mesh, tetrahedra
 from genmf_mi.stress.fem.coarse import coarse_stress
 from genmf_mi.stress.fem.simulation import Settings, frame_of
 from genmf_mi.stress.fem.statistics import SURFACE_BAND_MM
-from genmf_mi.stress.fem.tetrahedra import TetMesh
+from genmf_mi.stress.fem.tet_mesh import TetMesh
 from genmf_mi.stress.model import compute, domain, weights
 
 PACKAGED = Path(__file__).with_name("compact.safetensors")
@@ -56,7 +56,7 @@ class Prediction:
     @cached_property
     def mesh(self) -> TetMesh:
         """The largest body as tetrahedra, in the normalised frame, so that the field can be drawn."""
-        return tetrahedra.largest_body(
+        return tet_mesh.largest_component(
             tetrahedra.isosurface_stuffing(self.phi, self.settings.edge_mm / self.frame.mm_per_unit)
         )[0]
 
@@ -67,7 +67,7 @@ class Prediction:
         # Nodes lie on the surface, where half of the samples about are outside
         nearest = distance_transform_edt(self.phi > 0, return_distances=False, return_indices=True)
         value = distance.sample(self.von_mises[tuple(nearest)], self.mesh.points)
-        return NodalField(self.mesh.moved(self.frame.to_print(self.mesh.points)), value)
+        return NodalField(self.mesh.with_points(self.frame.to_print(self.mesh.points)), value)
 
 
 class Predictor:

@@ -1,4 +1,4 @@
-"""How a refinement is judged: the same simulation of two shapes, as ratios."""
+"""Two shapes simulated with the same settings, compared as ratios."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import numpy as np
 
 from genmf_mi.core.frame import HALF_EXTENT, Frame
 from genmf_mi.sdf.distance import sample
-from genmf_mi.stress.fem import surface, tetrahedra
+from genmf_mi.stress.fem import surface, volume_mesh
 from genmf_mi.stress.fem.simulation import Simulation
 from genmf_mi.stress.fem.statistics import SURFACE_BAND_MM
 
-_ALIKE = 0.1
-"""Two shapes are in the same units if their longest sides differ by no more than this share, and in the same place if
-the centres of their boxes do not either."""
+_SAME_FRAME = 0.1
+"""Two shapes are in the same units if their longest sides differ by less than this share, and in the same place if the
+centres of their bounding boxes do too."""
 
 
 def ratios(a: dict, b: dict) -> dict[str, float]:
@@ -35,12 +35,13 @@ def in_layer(simulation: Simulation, original: Simulation) -> np.ndarray:
     that of the part without, into material under less stress. The layer is one and the same place in both.
     """
     centroids = simulation.mesh.points[simulation.mesh.cells].mean(axis=1)
-    there = _in_frame(original.frame, simulation.frame, centroids)
-    return sample(original.phi, there) * original.frame.mm_per_unit >= -SURFACE_BAND_MM
+    in_original = _in_frame(original.frame, simulation.frame, centroids)
+    return sample(original.phi, in_original) * original.frame.mm_per_unit >= -SURFACE_BAND_MM
 
 
 def layer_ratio(original: Simulation, refined: Simulation) -> float | None:
-    """Mean von Mises of ``refined`` over that of ``original`` where :func:`in_layer`; None if nothing of it is."""
+    """Mean von Mises of ``refined`` over that of ``original`` where :func:`in_layer`; None if no cell of either is
+    there."""
     means = []
     for one in (original, refined):
         chosen = in_layer(one, original)
@@ -52,14 +53,15 @@ def layer_ratio(original: Simulation, refined: Simulation) -> float | None:
 
 def relative_size(a: Frame, b: Path) -> float:
     """Longest side of the shape in ``b`` over that of the shape of frame ``a`` if the units are the same, else 1."""
-    points = tetrahedra.read(b).points if surface.is_volume(b) else surface.load(b)[0]
+    points = volume_mesh.read(b).points if volume_mesh.is_volume_mesh(b) else surface.load(b)[0]
     ratio = float(np.ptp(points, axis=0).max()) * a.scale / (2 * HALF_EXTENT)
-    return ratio if abs(ratio - 1) < _ALIKE else 1.0
+    return ratio if abs(ratio - 1) < _SAME_FRAME else 1.0
 
 
 def _in_frame(target: Frame, source: Frame, points: np.ndarray) -> np.ndarray:
-    """``points`` of ``source`` in ``target``: by their place in the file, or box on box where the files disagree."""
+    """``points [N,3]`` of frame ``source`` in ``target``: by their file coordinates, or with the bounding boxes
+    centred on one another where the files have different units or origins."""
     apart = np.abs(np.subtract(target.centre, source.centre)).max() * target.scale / (2 * HALF_EXTENT)
-    if apart < _ALIKE and abs(target.scale / source.scale - 1) < _ALIKE:
+    if apart < _SAME_FRAME and abs(target.scale / source.scale - 1) < _SAME_FRAME:
         return target.normalise(source.restore(points))
     return points * (source.mm_per_unit / target.mm_per_unit)

@@ -8,62 +8,32 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from genmf_mi.core.errors import OutputError
 from genmf_mi.core.files import atomic, write_text
-from genmf_mi.stress.fem.simulation import Field, Simulation
+from genmf_mi.stress.fem.problem import Field
+from genmf_mi.stress.fem.simulation import Simulation
+from genmf_mi.stress.fem.tet_mesh import TetMesh
 
 if TYPE_CHECKING:
     from genmf_mi.stress.model.predictor import NodalField, Prediction
 
 FILES = ("stress.vtu", "stress.npz", "stress.json", "stress.png")
-
-
-def claim(out: Path, names: tuple[str, ...], force: bool) -> None:
-    """Raises :class:`OutputError` if ``out`` holds one of the files already and ``force`` is not given."""
-    there = [name for name in names if (out / name).exists()]
-    if there and not force:
-        raise OutputError(
-            f"{out} holds {', '.join(there)} already; choose another --out, or replace them with --force."
-        )
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"cannot make {out}: {error.strerror}. Choose another --out.") from error
+"""The files of one shape; to claim a folder for them, see :func:`genmf_mi.core.files.claim_folder`."""
 
 
 def write_vtu(path: Path, field: Field) -> None:
     """The field on its mesh, for ParaView: mm, °C, MPa; z up. Stress is per cell, ``xx xy xz yx … zz``."""
-    import meshio
-
-    single = np.float32
-    mesh = meshio.Mesh(
-        field.mesh.points,
-        [("tetra", field.mesh.cells)],
-        point_data={
-            "temperature_C": field.temperature.astype(single),
-            "displacement_mm": field.displacement.astype(single),
-            "von_mises_MPa": field.von_mises_nodes.astype(single),
-        },
-        cell_data={
-            "stress_MPa": [field.stress.reshape(-1, 9).astype(single)],
-            "von_mises_cell_MPa": [field.von_mises.astype(single)],
-        },
-    )
-    with atomic(path) as temporary:
-        meshio.write(temporary, mesh, file_format="vtu")
+    nodal = {
+        "temperature_C": field.temperature,
+        "displacement_mm": field.displacement,
+        "von_mises_MPa": field.von_mises_nodes,
+    }
+    by_cell = {"stress_MPa": field.stress.reshape(-1, 9), "von_mises_cell_MPa": field.von_mises}
+    _write_mesh(path, field.mesh, nodal, by_cell)
 
 
 def write_prediction_vtu(path: Path, field: NodalField) -> None:
     """A predicted field on a mesh, for ParaView: mm, MPa; z up."""
-    import meshio
-
-    mesh = meshio.Mesh(
-        field.mesh.points,
-        [("tetra", field.mesh.cells)],
-        point_data={"von_mises_MPa": field.von_mises_nodes.astype(np.float32)},
-    )
-    with atomic(path) as temporary:
-        meshio.write(temporary, mesh, file_format="vtu")
+    _write_mesh(path, field.mesh, {"von_mises_MPa": field.von_mises_nodes}, {})
 
 
 def write_grid(path: Path, simulation: Simulation | Prediction) -> None:
@@ -83,3 +53,17 @@ def write_grid(path: Path, simulation: Simulation | Prediction) -> None:
 
 def write_json(path: Path, content: dict) -> None:
     write_text(path, json.dumps(content, indent=2) + "\n")
+
+
+def _write_mesh(path: Path, mesh: TetMesh, nodal: dict[str, np.ndarray], by_cell: dict[str, np.ndarray]) -> None:
+    import meshio
+
+    single = np.float32
+    content = meshio.Mesh(
+        mesh.points,
+        [("tetra", mesh.cells)],
+        point_data={name: value.astype(single) for name, value in nodal.items()},
+        cell_data={name: [value.astype(single)] for name, value in by_cell.items()},
+    )
+    with atomic(path) as temporary:
+        meshio.write(temporary, content, file_format="vtu")

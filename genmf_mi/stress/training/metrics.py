@@ -9,12 +9,13 @@ import torch
 from torch import Tensor
 
 from genmf_mi.stress.data.reader import StressSamples
+from genmf_mi.stress.fem.statistics import surface_band_depth
 from genmf_mi.stress.model.network import to_target
 
 Predict = Callable[[Tensor], Tensor]
 """Φ ``[1,X,Y,Z]`` to von Mises in MPa, likewise."""
 TOP = 0.05
-BAND = 0.076
+BAND = surface_band_depth(100.0)
 """Depth of the surface band in normalised units: 4 mm of a part of 100 mm."""
 
 

@@ -1,4 +1,4 @@
-"""What the solver says of a refinement: whole bodies on coarse tetrahedra, and the arithmetic of its ratios."""
+"""Verification by finite elements: whole bodies on coarse tetrahedra, and the arithmetic of the ratios."""
 
 from __future__ import annotations
 
@@ -6,18 +6,30 @@ import numpy as np
 import pytest
 import trimesh
 
-from genmf_mi.core.errors import SolidError
+from genmf_mi.core.errors import ConfigError, SolidError
 from genmf_mi.core.frame import Frame
+from genmf_mi.core.progress import Progress
 from genmf_mi.sdf.distance import signed_distance
-from genmf_mi.stress.fem import simulation as fem
 from genmf_mi.stress.fem import statistics
-from genmf_mi.stress.report import verification as verdict
+from genmf_mi.stress.fem.settings import Settings
+from genmf_mi.stress.fem.simulation import simulate_distance
+from genmf_mi.stress.report import verification
 from genmf_mi.stress.report.comparison import ratios
 
 
 @pytest.fixture(autouse=True)
 def _coarse(monkeypatch):
-    monkeypatch.setattr(verdict, "EDGE_MM", 8.0)
+    monkeypatch.setattr(verification, "EDGE_MM", 8.0)
+
+
+class Stages(Progress):
+    """Records the names of the stages."""
+
+    def __init__(self) -> None:
+        self.names: list[str] = []
+
+    def stage(self, name: str) -> None:
+        self.names.append(name)
 
 
 def ball(bumps: float = 0.0) -> trimesh.Trimesh:
@@ -32,32 +44,33 @@ KEYS = {"mean", "p99_9", "surface_band_mean", "surface_band_p99_9", "displacemen
 
 
 @pytest.fixture(scope="module")
-def judged() -> tuple[dict, list[str]]:
+def verified() -> tuple[dict, list[str]]:
     """A smooth egg, much relief, and less of it."""
     bumps = {"before": 0.0, "unconstrained": 0.08, "after": 0.03}
     shapes = {name: (ball(height).vertices, ball().faces) for name, height in bumps.items()}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(verdict, "EDGE_MM", 8.0)
-        said = []
-        return verdict.judge(shapes, FRAME, said.append), said
+        patch.setattr(verification, "EDGE_MM", 8.0)
+        stages = Stages()
+        return verification.verify(shapes, FRAME, progress=stages), stages.names
 
 
-def test_is_the_simulation_of_each(judged) -> None:
+def test_is_the_simulation_of_each(verified) -> None:
     """In one frame, on tetrahedra that grow with the part."""
-    found, said = judged
-    assert [text.rsplit(" ", 1)[1] for text in said] == ["before", "unconstrained", "after"]
-    settings = fem.Settings(size_mm=80.0, edge_mm=6.4)
+    result, stages = verified
+    assert [text.rsplit(" ", 1)[1] for text in stages] == ["before", "unconstrained", "after"]
+    settings = Settings(size_mm=80.0, edge_mm=6.4)
     phi = signed_distance(ball(0.08).vertices, ball().faces, settings.grid)
-    alone = statistics.summary(fem.simulate_distance(phi, FRAME, settings, fem.Laps()))
-    theirs = found["shapes"]["unconstrained"]
-    assert theirs["settings"] == alone["settings"] and theirs["settings"]["edge_mm"] == pytest.approx(6.4)
+    alone = statistics.summary(simulate_distance(phi, FRAME, settings))
+    figures = result["shapes"]["unconstrained"]
+    assert figures["settings"] == alone["settings"]
+    assert figures["settings"]["edge_mm"] == pytest.approx(6.4)
     for group in ("von_mises_mpa", "surface_band"):
-        assert theirs[group] == pytest.approx(alone[group], rel=1e-6)
+        assert figures[group] == pytest.approx(alone[group], rel=1e-6)
 
 
-def test_ratios_and_what_remains(judged) -> None:
-    found, _ = judged
-    shapes, ratio, remains = found["shapes"], found["ratio"], found["remains"]
+def test_ratios_and_what_remains(verified) -> None:
+    result, _ = verified
+    shapes, ratio, remains = result["shapes"], result["ratio"], result["remains"]
     assert set(ratio) == {"unconstrained", "after", "constrained"}
     assert set(ratio["after"]) == set(ratio["constrained"]) == set(remains) == KEYS
     means = [shapes[name]["surface_band"]["mean"] for name in ("before", "unconstrained", "after")]
@@ -72,25 +85,25 @@ def test_ratios_and_what_remains(judged) -> None:
 
 def test_the_same_shape_twice_is_one() -> None:
     shape = (ball().vertices, ball().faces)
-    found = verdict.judge({"before": shape, "after": shape}, FRAME)
-    assert found["ratio"] == {"after": pytest.approx(dict.fromkeys(KEYS, 1.0))}
-    assert "remains" not in found
-    summaries = found["shapes"]
+    result = verification.verify({"before": shape, "after": shape}, FRAME)
+    assert result["ratio"] == {"after": pytest.approx(dict.fromkeys(KEYS, 1.0))}
+    assert "remains" not in result
+    summaries = result["shapes"]
     assert ratios(summaries["before"], summaries["after"]) == pytest.approx(
         dict.fromkeys(KEYS - {"surface_layer_mean"}, 1)
     )
 
 
 def test_one_shape_alone_has_no_ratio() -> None:
-    found = verdict.judge({"after": (ball().vertices, ball().faces)}, FRAME)
-    assert list(found) == ["shapes"] and list(found["shapes"]) == ["after"]
+    result = verification.verify({"after": (ball().vertices, ball().faces)}, FRAME)
+    assert list(result) == ["shapes"] and list(result["shapes"]) == ["after"]
 
 
 def test_effect_by_hand() -> None:
     """All of an increase, half of it, less than before, and no increase that anything could remain of."""
     unconstrained = {"all": 1.4, "half": 1.4, "less": 1.2, "none": 0.9, "unknown": None}
     after = {"all": 1.4, "half": 1.2, "less": 0.9, "none": 0.81, "unknown": None}
-    constrained, remains = verdict.effect(unconstrained, after)
+    constrained, remains = verification.effect(unconstrained, after)
     assert constrained == pytest.approx({"all": 1.0, "half": 1.2 / 1.4, "less": 0.75, "none": 0.9})
     assert remains.pop("none") is None
     assert remains == pytest.approx({"all": 1.0, "half": 0.5, "less": -0.5})
@@ -99,4 +112,21 @@ def test_effect_by_hand() -> None:
 def test_nothing_enclosed() -> None:
     inside_out = (ball().vertices, ball().faces[:, ::-1])
     with pytest.raises(SolidError, match="encloses nothing"):
-        verdict.judge({"before": inside_out, "after": inside_out}, FRAME)
+        verification.verify({"before": inside_out, "after": inside_out}, FRAME)
+
+
+def test_the_material_is_that_of_the_part() -> None:
+    """σ follows E, α and the temperature of the material, so two materials differ; an unknown one is refused."""
+    shapes = {"after": (ball().vertices, ball().faces)}
+    phi = signed_distance(*shapes["after"], Settings().grid)
+    means = {}
+    for material in ("pla", "abs"):
+        (summary,) = verification.verify(shapes, FRAME, material=material)["shapes"].values()
+        settings = Settings(size_mm=80.0, edge_mm=6.4, material=material)
+        alone = statistics.summary(simulate_distance(phi, FRAME, settings))
+        assert summary["settings"] == alone["settings"]
+        assert summary["von_mises_mpa"] == pytest.approx(alone["von_mises_mpa"], rel=1e-6)
+        means[material] = summary["von_mises_mpa"]["mean"]
+    assert means["abs"] > 1.2 * means["pla"]
+    with pytest.raises(ConfigError, match="wood"):
+        verification.verify(shapes, FRAME, material="wood")

@@ -10,8 +10,9 @@ import trimesh
 
 from genmf_mi.core.errors import SolidError
 from genmf_mi.sdf.distance import axis, signed_distance
-from genmf_mi.stress.fem import tetrahedra
-from genmf_mi.stress.fem.tetrahedra import TetMesh, isosurface_stuffing, largest_body
+from genmf_mi.stress.fem import tetrahedra, volume_mesh
+from genmf_mi.stress.fem.tet_mesh import FACES, TetMesh, largest_component
+from genmf_mi.stress.fem.tetrahedra import isosurface_stuffing
 
 
 def shapes() -> dict[str, np.ndarray]:
@@ -30,7 +31,7 @@ def dihedral_angles(mesh: TetMesh) -> np.ndarray:
     """In degrees, ``[T,6]``."""
     corner = mesh.points[mesh.cells]
     normals = []
-    for a, b, c in tetrahedra._FACES:
+    for a, b, c in FACES:
         n = np.cross(corner[:, b] - corner[:, a], corner[:, c] - corner[:, a])
         normals.append(n / np.linalg.norm(n, axis=1, keepdims=True))
     cosine = [-(normals[i] * normals[j]).sum(axis=1) for i in range(4) for j in range(i)]
@@ -68,19 +69,19 @@ def test_volume_is_lost_to_flat_facets_alone() -> None:
     assert np.log2(coarse / fine) == pytest.approx(2.0, abs=0.3)
 
 
-def test_loose_parts_are_left_out() -> None:
+def test_other_components_are_left_out() -> None:
     ticks = axis(49)
     x, y, z = np.meshgrid(ticks, ticks, ticks, indexing="ij")
     two = np.minimum(np.sqrt((x + 0.4) ** 2 + y**2 + z**2) - 0.45, np.sqrt((x - 0.6) ** 2 + y**2 + z**2) - 0.2)
-    mesh, rest = largest_body(isosurface_stuffing(two, 0.1))
+    mesh, rest = largest_component(isosurface_stuffing(two, 0.1))
     assert len(rest) == 1 and rest[0] == pytest.approx(4 / 3 * np.pi * 0.2**3, rel=0.1)
     assert mesh.points[:, 0].max() < 0.2
 
 
-def test_parts_that_share_an_edge_only_are_separate() -> None:
+def test_components_that_share_an_edge_only_are_separate() -> None:
     points = np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0], [0, 1, 0], [-2, 0, 0], [0, -2, 0]], dtype=float)
     cells = np.array([[0, 2, 3, 1], [0, 4, 5, 1]])
-    mesh, rest = largest_body(TetMesh(points, cells))
+    mesh, rest = largest_component(TetMesh(points, cells))
     assert len(mesh.cells) == 1 and rest == pytest.approx([1 / 6])
 
 
@@ -92,7 +93,7 @@ def test_refusals(tmp_path: Path) -> None:
         isosurface_stuffing(abs(phi) + 0.1, 0.1)
     (tmp_path / "broken.vtu").write_text("<VTKFile>")
     with pytest.raises(SolidError, match="cannot read"):
-        tetrahedra.read(tmp_path / "broken.vtu")
+        volume_mesh.read(tmp_path / "broken.vtu")
 
 
 def test_reading_a_volume_mesh(tmp_path: Path) -> None:
@@ -102,7 +103,7 @@ def test_reading_a_volume_mesh(tmp_path: Path) -> None:
     flipped = mesh.cells.copy()
     flipped[::2] = flipped[::2][:, [0, 2, 1, 3]]
     meshio.Mesh(mesh.points, [("tetra", flipped)]).write(tmp_path / "torus.vtu")
-    again = tetrahedra.read(tmp_path / "torus.vtu")
+    again = volume_mesh.read(tmp_path / "torus.vtu")
     assert (again.volumes > 0).all()
     assert again.volumes.sum() == pytest.approx(mesh.volumes.sum())
 
@@ -110,7 +111,7 @@ def test_reading_a_volume_mesh(tmp_path: Path) -> None:
     points[mesh.cells[0]] = points[mesh.cells[0, 0]]
     meshio.Mesh(points, [("tetra", mesh.cells)]).write(tmp_path / "flat.vtu")
     with pytest.raises(SolidError, match="zero volume"):
-        tetrahedra.read(tmp_path / "flat.vtu")
+        volume_mesh.read(tmp_path / "flat.vtu")
     meshio.Mesh(points, [("triangle", mesh.boundary())]).write(tmp_path / "surface.vtu")
     with pytest.raises(SolidError, match="no linear tetrahedra"):
-        tetrahedra.read(tmp_path / "surface.vtu")
+        volume_mesh.read(tmp_path / "surface.vtu")

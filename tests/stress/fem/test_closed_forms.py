@@ -9,7 +9,8 @@ from genmf_mi.stress.fem import elasticity, heat
 from genmf_mi.stress.fem.assembly import P1
 from genmf_mi.stress.fem.linear import jacobi, solve_spd
 from genmf_mi.stress.fem.materials import material
-from genmf_mi.stress.fem.tetrahedra import TetMesh, isosurface_stuffing
+from genmf_mi.stress.fem.tet_mesh import TetMesh
+from genmf_mi.stress.fem.tetrahedra import isosurface_stuffing
 
 PLA = material("pla")
 
@@ -19,8 +20,7 @@ def box(*ticks: np.ndarray) -> TetMesh:
     import skfem
 
     mesh = skfem.MeshTet.init_tensor(*ticks)
-    tets = TetMesh(np.ascontiguousarray(mesh.p.T), mesh.t.T.astype(np.int64))
-    return TetMesh(tets.points, np.where((tets.volumes < 0)[:, None], tets.cells[:, [0, 2, 1, 3]], tets.cells))
+    return TetMesh(np.ascontiguousarray(mesh.p.T), mesh.t.T.astype(np.int64)).oriented()
 
 
 def cube(n: int) -> TetMesh:
@@ -43,28 +43,29 @@ def test_free_expansion_is_free_of_stress() -> None:
     ticks = np.linspace(-1, 1, 25)
     x, y, z = np.meshgrid(ticks, ticks, ticks, indexing="ij")
     mesh = isosurface_stuffing(np.sqrt(x**2 + (1.3 * y) ** 2 + z**2) - 0.8, 0.3)
-    elements, excess = P1(mesh), np.full(len(mesh.points), -35.0)
-    moved = PLA.expansion_per_k * -35.0 * mesh.points
-    load = elements.divergence_load(PLA.thermal_modulus * excess[mesh.cells].mean(axis=1))
-    residual = elements.elastic(*PLA.lame) @ moved.reshape(-1) - load.reshape(-1)
+    elements, temperature_rise = P1(mesh), np.full(len(mesh.points), -35.0)
+    displacement = PLA.expansion_per_k * -35.0 * mesh.points
+    load = elements.divergence_load(PLA.thermal_modulus * temperature_rise[mesh.cells].mean(axis=1))
+    residual = elements.elastic(*PLA.lame) @ displacement.reshape(-1) - load.reshape(-1)
     assert abs(residual).max() < 1e-13 * abs(load).max() * 100
-    assert abs(elasticity.stress(elements, PLA, moved, excess)).max() < 1e-12 * PLA.thermal_modulus * 35
+    stress = elasticity.stress(elements, PLA, displacement, temperature_rise)
+    assert abs(stress).max() < 1e-12 * PLA.thermal_modulus * 35
 
 
-def balanced(elements: P1, excess: np.ndarray, spring: np.ndarray) -> np.ndarray:
-    """Displacement under a temperature excess."""
-    load = elasticity.thermal_load(elements, PLA, excess)
+def balanced(elements: P1, temperature_rise: np.ndarray, spring: np.ndarray) -> np.ndarray:
+    """Displacement under a temperature rise."""
+    load = elasticity.thermal_load(elements, PLA, temperature_rise)
     return elasticity.Equilibrium(elements, PLA, spring).solve(load)[0]
 
 
 def test_clamped_block() -> None:
     """A block held on all sides answers a uniform ΔT with σ = −E α ΔT / (1 − 2ν)."""
     mesh = cube(4)
-    elements, excess = P1(mesh), np.full(len(mesh.points), -35.0)
+    elements, temperature_rise = P1(mesh), np.full(len(mesh.points), -35.0)
     hold = np.where(on_boundary(mesh), 1e12, 0.0)
-    moved = balanced(elements, excess, hold)
+    displacement = balanced(elements, temperature_rise, hold)
     expected = PLA.youngs_modulus_mpa * PLA.expansion_per_k * 35.0 / (1 - 2 * PLA.poisson_ratio)
-    stress = elasticity.stress(elements, PLA, moved, excess)
+    stress = elasticity.stress(elements, PLA, displacement, temperature_rise)
     assert np.allclose(stress, expected * np.eye(3), atol=1e-6 * expected)
 
 
@@ -73,32 +74,33 @@ def hollow_sphere(edge: float) -> tuple[float, float]:
 
     Radii 18 and 45 mm, warm air inside and cold air outside.
     """
-    inner, outer, film = 18.0, 45.0, 5e-6
+    inner, outer, coefficient = 18.0, 45.0, 5e-6
     ticks = np.linspace(-1, 1, 97)
     r = np.sqrt(sum(c**2 for c in np.meshgrid(ticks, ticks, ticks, indexing="ij")))
     mesh = isosurface_stuffing(np.maximum(r - outer / 50, inner / 50 - r), edge / 50)
-    mesh = mesh.moved(50 * mesh.points)
+    mesh = mesh.with_points(50 * mesh.points)
 
     whole, cavity, skin = P1(mesh), P1(mesh), P1(mesh)
     radius = np.linalg.norm(mesh.points[whole.boundary].mean(axis=1), axis=1)
     cavity.boundary, skin.boundary = whole.boundary[radius < 30], whole.boundary[radius > 30]
     k, warm, cold = PLA.conductivity_w_mmk, 40.0, -35.0
-    system = whole.stiffness() * k + (cavity.boundary_mass() + skin.boundary_mass()) * film
-    load = film * (warm * cavity.boundary_load() + cold * skin.boundary_load())
-    excess, _ = solve_spd(system.tocsr(), load, jacobi(system), 1e-10)
+    system = whole.stiffness() * k + (cavity.boundary_mass() + skin.boundary_mass()) * coefficient
+    load = coefficient * (warm * cavity.boundary_load() + cold * skin.boundary_load())
+    temperature_rise, _ = solve_spd(system.tocsr(), load, jacobi(system), 1e-10)
 
     # T = A + B / r with  k B / a² = h (warm − T(a))  and  k B / b² = h (T(b) − cold).
     a, b = inner, outer
-    system = np.array([[film, film / a + k / a**2], [film, film / b - k / b**2]])
-    constant, slope = np.linalg.solve(system, [film * warm, film * cold])
+    system = np.array([[coefficient, coefficient / a + k / a**2], [coefficient, coefficient / b - k / b**2]])
+    constant, slope = np.linalg.solve(system, [coefficient * warm, coefficient * cold])
     r = np.linalg.norm(mesh.points, axis=1)
     exact = constant + slope / r
     mass = whole.mass()
-    temperature_error = np.sqrt((excess - exact) @ (mass @ (excess - exact)) / (exact @ (mass @ exact)))
+    error = temperature_rise - exact
+    temperature_error = np.sqrt(error @ (mass @ error) / (exact @ (mass @ exact)))
 
     spring = 1e-7 * PLA.youngs_modulus_mpa / outer**2 * whole.nodal_volume()
-    moved = balanced(whole, excess, spring)
-    stress = elasticity.stress(whole, PLA, moved, excess)
+    displacement = balanced(whole, temperature_rise, spring)
+    stress = elasticity.stress(whole, PLA, displacement, temperature_rise)
     # Timoshenko & Goodier, Theory of Elasticity, article on the hollow sphere.
     centre = mesh.points[mesh.cells].mean(axis=1)
     r = np.linalg.norm(centre, axis=1)
@@ -123,11 +125,11 @@ def test_hollow_sphere_converges() -> None:
     assert errors[-1, 0] < 5e-3 and errors[-1, 1] < 0.15
 
 
-def slab_series(x: np.ndarray, time: float, half: float, film: float) -> np.ndarray:
+def slab_series(x: np.ndarray, time: float, half: float, coefficient: float) -> np.ndarray:
     """(T − T_amb) / (T₀ − T_amb) of a slab of half-thickness ``half``, cooled on both sides (Carslaw & Jaeger 3.11)."""
     from scipy.optimize import brentq
 
-    biot = film * half / PLA.conductivity_w_mmk
+    biot = coefficient * half / PLA.conductivity_w_mmk
     fourier = PLA.conductivity_w_mmk * time / (PLA.volumetric_heat_j_mm3k * half**2)
     total = np.zeros_like(x)
     for n in range(60):
@@ -138,7 +140,7 @@ def slab_series(x: np.ndarray, time: float, half: float, film: float) -> np.ndar
 
 
 def test_transient_slab() -> None:
-    """Half a slab with a film on one face; backward Euler is of first order in time, and small at 5 s."""
+    """Half a slab with convection on one face; backward Euler is of first order in time, and small at 5 s."""
     mesh = box(np.linspace(0.0, 10.0, 41), np.array([0.0, 0.3]), np.array([0.0, 0.3]))
     errors = []
     for step in (20.0, 10.0, 5.0):
@@ -190,7 +192,7 @@ def test_manufactured_elasticity() -> None:
         force = np.pi**2 * ((lam + mu) * s * (c[:, [1, 2, 0]] + c[:, [2, 0, 1]]) + 2 * mu * exact)
         inner = mesh.points[~on_boundary(mesh)]
         multigrid = lambda matrix, points=inner: elasticity.multigrid(matrix.tobsr((3, 3)), points)  # noqa: E731
-        moved = given_on_boundary(mesh, elements.elastic(lam, mu), elements.mass() @ force, exact, multigrid)
+        displacement = given_on_boundary(mesh, elements.elastic(lam, mu), elements.mass() @ force, exact, multigrid)
 
         centre = np.pi * mesh.points[mesh.cells].mean(axis=1)
         s, c = np.sin(centre), np.cos(centre)
@@ -199,12 +201,12 @@ def test_manufactured_elasticity() -> None:
             gradient[:, i, i], gradient[:, i, j] = np.pi * c[:, i] * c[:, j], -np.pi * s[:, i] * s[:, j]
         strain = (gradient + gradient.transpose(0, 2, 1)) / 2
         stress = 2 * mu * strain + lam * np.trace(strain, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-        found = elasticity.stress(elements, PLA, moved, np.zeros(elements.nodes))
-        difference = moved - exact
+        computed = elasticity.stress(elements, PLA, displacement, np.zeros(elements.nodes))
+        difference = displacement - exact
         errors.append(
             [
                 float(np.sqrt((difference * (elements.mass() @ difference)).sum())),
-                float(np.sqrt((elements.volumes * ((found - stress) ** 2).sum(axis=(1, 2))).sum())),
+                float(np.sqrt((elements.volumes * ((computed - stress) ** 2).sum(axis=(1, 2))).sum())),
             ]
         )
     errors, sizes = np.array(errors), [1 / n for n in counts]

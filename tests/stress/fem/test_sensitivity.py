@@ -7,13 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from genmf_mi.stress.fem import simulation as fem
 from genmf_mi.stress.fem.grid import locate_points
-from genmf_mi.stress.fem.sensitivity import by_nodes, by_surface
-from genmf_mi.stress.fem.tetrahedra import TetMesh, isosurface_stuffing
+from genmf_mi.stress.fem.materials import material
+from genmf_mi.stress.fem.problem import Field, Problem
+from genmf_mi.stress.fem.protocol import Protocol
+from genmf_mi.stress.fem.sensitivity import nodal_gradient, surface_gradient
+from genmf_mi.stress.fem.tet_mesh import TetMesh
+from genmf_mi.stress.fem.tetrahedra import isosurface_stuffing
 
-PLA = fem.material("pla")
-SLOW = replace(fem.Protocol(), clamp_fraction=0.1)
+PLA = material("pla")
+SLOW = replace(Protocol(), clamp_fraction=0.1)
 """A clamp that the coarse meshes of these tests resolve."""
 
 
@@ -30,28 +33,28 @@ class Case:
     """A weighted sum of the field at fixed places, as a function of the nodes."""
 
     def __init__(self, mesh: TetMesh, phi: np.ndarray) -> None:
-        self.mesh = mesh.moved(50 * mesh.points)
-        self.places = locate_points(mesh, phi)
-        self.point = 50 * self.places.point
+        self.mesh = mesh.with_points(50 * mesh.points)
+        self.location = locate_points(mesh, phi)
+        self.point = 50 * self.location.point
         self.weight = np.random.default_rng(0).uniform(0, 1, len(self.point)) / len(self.point)
 
-    def solved(self, points: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> tuple[fem.Problem, fem.Field]:
+    def solved(self, points: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> tuple[Problem, Field]:
         monkeypatch.setattr("genmf_mi.stress.fem.elasticity.TOLERANCE", 1e-11)
         monkeypatch.setattr("genmf_mi.stress.fem.heat.TOLERANCE", 1e-12)
-        problem = fem.Problem(self.mesh.moved(points), PLA, SLOW)
+        problem = Problem(self.mesh.with_points(points), PLA, SLOW)
         return problem, problem.solve()
 
     def scalar(self, points: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> float:
         _, field = self.solved(points, monkeypatch)
-        corners = field.mesh.cells[self.places.cell]
+        corners = field.mesh.cells[self.location.cell]
         ones = np.ones((len(corners), 4, 1))
         system = np.concatenate([ones, field.mesh.points[corners]], axis=2).transpose(0, 2, 1)
         shares = np.linalg.solve(system, np.concatenate([ones[:, :1, 0], self.point], axis=1)[..., None])[..., 0]
         return float(self.weight @ (shares * field.von_mises_nodes[corners]).sum(axis=1))
 
-    def gradient(self, monkeypatch: pytest.MonkeyPatch) -> tuple[fem.Problem, np.ndarray]:
+    def gradient(self, monkeypatch: pytest.MonkeyPatch) -> tuple[Problem, np.ndarray]:
         problem, field = self.solved(self.mesh.points, monkeypatch)
-        return problem, by_nodes(problem, field, self.places.cell, self.point, self.weight)
+        return problem, nodal_gradient(problem, field, self.location.cell, self.point, self.weight)
 
 
 def difference(case: Case, way: np.ndarray, monkeypatch: pytest.MonkeyPatch, step: float = 1e-3) -> float:
@@ -59,8 +62,8 @@ def difference(case: Case, way: np.ndarray, monkeypatch: pytest.MonkeyPatch, ste
     return (ahead - behind) / (2 * step)
 
 
-def test_by_nodes(body, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every part has its say: places, stress, springs, heat."""
+def test_nodal_gradient(body, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every term counts: interpolation, stress, springs, heat."""
     case = Case(*body)
     _, gradient = case.gradient(monkeypatch)
     rng = np.random.default_rng(1)
@@ -73,13 +76,13 @@ def test_by_nodes(body, monkeypatch: pytest.MonkeyPatch) -> None:
             assert (gradient * way).sum() == pytest.approx(expected, rel=1e-4, abs=1e-9)
 
 
-def test_by_surface(body, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_surface_gradient(body, monkeypatch: pytest.MonkeyPatch) -> None:
     """For a surface that moves, with the nodes inside as far as they are, and harmonic, between."""
     case = Case(*body)
     problem, gradient = case.gradient(monkeypatch)
     inner = np.ones(len(gradient), dtype=bool)
     inner[problem.elements.boundary] = False
-    surface = by_surface(problem, gradient)
+    surface = surface_gradient(problem, gradient)
     assert not surface[inner].any()
     way = np.stack([np.sin(case.mesh.points[:, (i + 1) % 3] / 20 + i) for i in range(3)], axis=1)
     stiffness = problem.elements.stiffness().tocsr()
