@@ -161,7 +161,7 @@ def test_command_writes_its_files(file: Path, tmp_path: Path, capsys: pytest.Cap
         assert set(grid.files) == {"phi", "von_mises_mpa", "centre", "scale", "size_mm"}
         assert grid["von_mises_mpa"].shape == (N, N, N)
     assert main(command) == 2
-    assert "already" in capsys.readouterr().err
+    assert "--force" in capsys.readouterr().err
 
 
 def test_a_prediction_can_be_drawn(file: Path) -> None:
