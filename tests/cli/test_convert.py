@@ -19,7 +19,7 @@ pytestmark = pytest.mark.usefixtures("workplace")
 
 
 def instantmesh_file() -> str:
-    """A ball as InstantMesh holds it: positive inside, with offsets of the grid's vertices and weights of FlexiCubes."""
+    """A ball in InstantMesh's form: positive inside, with offsets of the grid's vertices and FlexiCubes weights."""
     n, random = 24, np.random.default_rng(0)
     x, y, z = np.meshgrid(*3 * [(np.arange(n + 1) / n - 0.5) * 2.1], indexing="ij")
     np.savez(
