@@ -1,4 +1,4 @@
-"""Many assets, one after the other: what is done is skipped, what fails is recorded, nothing stops the rest."""
+"""``genmf-mi batch``: many assets, one after the other; one that fails is recorded and does not stop the rest."""
 
 from __future__ import annotations
 
@@ -6,63 +6,98 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from shlex import split
 
-import tyro
-
-from genmf_mi.core.errors import ConfigError
+from genmf_mi.cli.arguments import call
+from genmf_mi.cli.refine import RefineArguments, parse_text
+from genmf_mi.core.errors import ConfigError, GenmfError, OutputError
 from genmf_mi.core.files import write_text
 
 SUMMARY = "batch.json"
 
 
-def batch(
-    assets: tyro.conf.Positional[tuple[Path, ...]],
-    out: Path = Path("runs"),
-    arguments: str = "",
-) -> int:
-    """Refine many assets, each in a process of its own, so that one that fails takes nothing with it.
+def batch(assets: tuple[Path, ...], out: Path = Path("runs"), arguments: str = "", force: bool = False) -> int:
+    """Refine many assets, each in a process of its own, so that one that fails does not stop the others.
 
-    Run it again to go on after an interruption: finished runs are skipped, interrupted ones resumed. ``batch.json``
-    in the output folder lists what became of each. Exit code 1 if any failed.
+    Run it again to continue after an interruption: finished runs are skipped, interrupted ones resumed. A finished run
+    of other settings counts as failed and is left alone. ``batch.json`` in the output folder lists the outcomes. Exit
+    code 1 if any failed.
 
     Args:
         assets: Files, or names of bundled samples.
         out: Folder for the runs, one subfolder per asset.
         arguments: More arguments for `genmf-mi refine`, as in --arguments="--size-mm 80 --preset draft".
+        force: Replace the runs in the folder.
     """
-    from shlex import split
-
-    from rich.progress import Progress
+    from genmf_mi.cli.progress import TerminalProgress
 
     if not assets:
         raise ConfigError("name at least one asset.")
     names = [asset.stem for asset in assets]
     if len(set(names)) < len(names):
         raise ConfigError("two assets have the same file name, and so would share a folder. Rename one.")
+    chosen = parse_text(str(assets[0]), arguments, "batch")
     outcomes: dict[str, dict] = {}
-    with Progress() as progress:
-        task = progress.add_task("refining", total=len(assets))
-        for name, asset in zip(names, assets, strict=True):
-            progress.update(task, description=name)
-            outcomes[name] = _one(asset, out / name, split(arguments))
+    with TerminalProgress() as progress:
+        for i, (name, asset) in enumerate(zip(names, assets, strict=True)):
+            progress.stage(name)
+            progress.advance(i, len(assets))
+            outcome = outcomes[name] = _refine(asset, out / name, chosen, split(arguments), force)
             write_text(out / SUMMARY, json.dumps(outcomes, indent=2) + "\n")
-            progress.console.print(f"{name}: {outcomes[name]['state']} {outcomes[name].get('error', '')}".rstrip())
-            progress.advance(task)
+            print(f"{name}: {outcome['state']} {outcome.get('error', '')}".rstrip())
+            for warning in outcome.get("warnings", ()):
+                progress.warn(f"{name}: {warning}")
     return int(any(outcome["state"] == "failed" for outcome in outcomes.values()))
 
 
-def _one(asset: Path, folder: Path, arguments: list[str]) -> dict:
-    """Refine one asset into ``folder`` unless it is done; its outcome."""
-    metrics = folder / "metrics.json"
-    if metrics.exists() and not json.loads(metrics.read_text(encoding="utf-8")).get("interrupted"):
-        return {"state": "skipped", "metrics": str(metrics)}
-    going_on = ["--resume"] if (folder / "checkpoint.npz").exists() else ["--force"]
-    command = [sys.executable, "-m", "genmf_mi", "refine", str(asset), "--out", str(folder), "--quiet"]
-    done = subprocess.run([*command, *going_on, *arguments], capture_output=True, text=True, check=False)
-    if done.returncode == 0 and metrics.exists():
-        return {"state": "refined", "metrics": str(metrics)}
-    last = [line for line in done.stderr.splitlines() if line.strip()]
-    error = next(
-        (line for line in last if line.startswith("error:")), last[-1] if last else f"exit code {done.returncode}"
-    )
-    return {"state": "failed", "error": error}
+def _refine(asset: Path, folder: Path, chosen: RefineArguments, words: list[str], force: bool) -> dict:
+    """Refine one asset into ``folder`` unless that is done; its outcome.
+
+    words: the arguments that were parsed to ``chosen``, for the process.
+    """
+    from genmf_mi.pipeline.run_folder import CHECKPOINT, METRICS
+
+    metrics = folder / METRICS
+    try:
+        if not force and _is_finished(folder, chosen):
+            return {"state": "skipped", "metrics": str(metrics)}
+        mode = "--resume" if not force and (folder / CHECKPOINT).exists() else "--force"
+    except (GenmfError, OSError) as error:
+        return {"state": "failed", "error": f"error: {error}"}
+    command = [sys.executable, "-m", "genmf_mi", "refine", str(asset), "--out", str(folder), "--quiet", mode, *words]
+    process = subprocess.run(command, capture_output=True, text=True, encoding="utf-8", errors="replace", check=False)
+    lines = [line for line in process.stderr.splitlines() if line.strip()]
+    warnings = [line.removeprefix("warning: ") for line in lines if line.startswith("warning: ")]
+    outcome: dict = {"warnings": warnings} if warnings else {}
+    if process.returncode == 0 and metrics.exists():
+        return {"state": "refined", "metrics": str(metrics), **outcome}
+    last = lines[-1] if lines else f"exit code {process.returncode}"
+    return {"state": "failed", "error": next((line for line in lines if line.startswith("error:")), last), **outcome}
+
+
+def _is_finished(folder: Path, chosen: RefineArguments) -> bool:
+    """Whether ``folder`` holds a complete run of the settings in ``chosen``.
+
+    Raises:
+        ConfigError: a complete run of other settings. OutputError: a damaged one.
+    """
+    from genmf_mi.pipeline.run_folder import METRICS, RunFolder
+
+    if not (folder / METRICS).exists():
+        return False
+    try:
+        metrics = json.loads((folder / METRICS).read_text(encoding="utf-8"))
+        interrupted = metrics.get("interrupted")
+    except (ValueError, AttributeError) as error:
+        raise OutputError(f"{folder / METRICS} is damaged. Refine again with --force, or use another --out.") from error
+    if interrupted:
+        return False
+    RunFolder(folder).require(chosen.config.to_dict())
+    if chosen.verify and "stress" not in metrics:
+        raise ConfigError(f"the run in {folder} was made without --verify. Use another --out, or --force.")
+    return True
+
+
+def main(arguments: list[str]) -> int:
+    """Read the arguments and run the batch."""
+    return call(batch, "batch", arguments)

@@ -1,41 +1,41 @@
-"""``genmf-mi convert``: between meshes and files that hold Φ."""
+"""``genmf-mi convert``: between meshes and SDF files, which hold Φ on a grid."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import tyro
-
+from genmf_mi.cli.arguments import call
 from genmf_mi.core.errors import ConfigError, OutputError
 
 if TYPE_CHECKING:
     from genmf_mi.assets.sdf_asset import SdfAsset
+    from genmf_mi.core.progress import Progress
 
 SDF, MESH, GRID = (".npz", ".safetensors"), (".glb",), (".vol",)
 """Suffixes that can be written: Φ with colours, the extracted mesh, Φ alone for Mitsuba's ``sdfgrid``."""
 COARSEST = 17
+"""Samples per axis of the smallest grid."""
 
 
 def convert(
-    asset: tyro.conf.Positional[str],
+    asset: str,
     out: Path | None = None,
     samples: int = 129,
     textured: Path | None = None,
     force: bool = False,
     quiet: bool = False,
 ) -> int:
-    """Turn a textured mesh into an SDF file, or an SDF file into the coloured mesh that it stands for.
+    """Turn a textured mesh into an SDF file, or an SDF file into the coloured mesh of its surface.
 
     Args:
         asset: A mesh file, the name of a bundled sample, or an SDF file (NPZ, safetensors or PT, also of a generator:
             see docs/generators.md).
         out: What to write; its suffix says what: .npz or .safetensors (SDF), .glb (mesh with vertex colours), .vol (for
             scenes with Mitsuba's sdfgrid). NAME.npz for a mesh and NAME.glb for an SDF file if not given.
-        samples: Of the grid per axis, for a mesh; an SDF file keeps its own.
+        samples: Samples of the grid per axis, for a mesh; an SDF file keeps its own.
         textured: The same object as a mesh with colours, for an SDF file that has none or coarse ones.
-        force: Replace a file that is there.
+        force: Replace an existing file.
         quiet: No progress, only the line at the end.
     """
     from genmf_mi.assets.generators.files import FORMATS
@@ -44,22 +44,18 @@ def convert(
     path = resolve(asset)
     from_mesh = path.suffix.lower() not in FORMATS
     out = out or Path(f"{path.stem}{SDF[0] if from_mesh else MESH[0]}")
-    _require(path, out, samples, textured, from_mesh, force)
-    if quiet:
-        print(_convert(path, out, samples, textured, from_mesh, lambda text: None))
-        return 0
-    from genmf_mi.cli.progress import Terminal
+    _check(path, out, samples, textured, from_mesh, force)
+    from genmf_mi.cli.progress import TerminalProgress
 
-    terminal = Terminal()
-    with terminal.progress:
-        line = _convert(path, out, samples, textured, from_mesh, terminal.say)
-    print(line)
+    with TerminalProgress(quiet=quiet) as progress:
+        result = _convert(path, out, samples, textured, from_mesh, progress)
+    print(result)
     return 0
 
 
-def _require(path: Path, out: Path, samples: int, textured: Path | None, from_mesh: bool, force: bool) -> None:
-    """Refuse what cannot work before anything is computed."""
-    from genmf_mi.assets.sdf_asset import MAX_SAMPLES
+def _check(path: Path, out: Path, samples: int, textured: Path | None, from_mesh: bool, force: bool) -> None:
+    """Refuse what cannot work before anything is computed. Raises :class:`GenmfError`."""
+    from genmf_mi.assets.sdf_asset import LARGEST
 
     suffix, possible = out.suffix.lower(), (*SDF, *GRID) if from_mesh else (*SDF, *MESH, *GRID)
     if suffix in MESH and from_mesh:
@@ -75,31 +71,26 @@ def _require(path: Path, out: Path, samples: int, textured: Path | None, from_me
     if out.exists() and out.samefile(path):
         raise OutputError(f"{out} is the asset itself. Choose another --out.")
     if out.exists() and not force:
-        raise OutputError(f"{out} is there already. Use --force to replace it, or another --out.")
+        raise OutputError(f"{out} exists already. Use --force to replace it, or another --out.")
 
 
-def _convert(
-    path: Path, out: Path, samples: int, textured: Path | None, from_mesh: bool, say: Callable[[str], None]
-) -> str:
-    """Read, convert and write; returns what was done as a line."""
+def _convert(path: Path, out: Path, samples: int, textured: Path | None, from_mesh: bool, progress: Progress) -> str:
+    """Read, convert and write; returns a line that says what was written."""
     from genmf_mi.assets import asset as meshes
     from genmf_mi.assets.generators import files
     from genmf_mi.assets.generators.from_mesh import sdf_from_mesh
-    from genmf_mi.core.progress import Progress
 
-    say("reading")
-    progress = Progress()
-    progress.stage = say
+    progress.stage("reading")
     shape = sdf_from_mesh(meshes.load(path), samples, progress) if from_mesh else files.load(path, textured=textured)
-    say("writing")
+    progress.stage("writing")
     if out.suffix.lower() in SDF:
-        return f"{files.save(shape, out)}: {_described(shape)}"
+        return f"{files.save(shape, out)}: {_summary(shape)}"
     if out.suffix.lower() in MESH:
         return f"{out}: {_write_mesh(shape, out)}"
-    return f"{out}: {_described(shape)}\n{_write_grid(shape, out)}"
+    return f"{out}: {_summary(shape)}\n{_write_grid(shape, out)}"
 
 
-def _described(shape: SdfAsset) -> str:
+def _summary(shape: SdfAsset) -> str:
     line = f"{shape.resolution + 1}³ samples, {'with' if shape.textured else 'without'} colours"
     lost = shape.report.get("lost_fraction", 0.0)
     if lost < 0.0005:
@@ -111,20 +102,21 @@ def _write_mesh(shape: SdfAsset, out: Path) -> str:
     from genmf_mi.core.files import atomic
     from genmf_mi.fabrication import files as fabricate
     from genmf_mi.mesh import topology
+    from genmf_mi.pipeline import fabrication
 
     mesh = shape.as_mesh()
     rgb = mesh.albedo.colours if shape.textured else None
     with atomic(out) as temporary:
-        fabricate.write_glb(temporary, mesh.vertices, mesh.faces, rgb, shape.name)
-    closed, bodies = topology.is_closed(mesh.faces), int(topology.components(mesh.faces).max() + 1)
+        fabrication.write_glb(temporary, mesh.vertices, mesh.faces, rgb, shape.name)
+    closed, count = topology.is_closed(mesh.faces), int(topology.components(mesh.faces).max() + 1)
     return (
         f"{len(mesh.vertices)} vertices, {len(mesh.faces)} faces, {'with' if shape.textured else 'without'} colours, "
-        f"{'closed' if closed else 'NOT closed'}, {bodies} {'body' if bodies == 1 else 'bodies'}"
+        f"{'closed' if closed else 'NOT closed'}, {count} {'component' if count == 1 else 'components'}"
     )
 
 
 def _write_grid(shape: SdfAsset, out: Path) -> str:
-    """Returns how to look at it."""
+    """Returns the call that renders it."""
     from genmf_mi.core.frame import Frame
     from genmf_mi.render import scene, sdf_scene, variant
 
@@ -133,4 +125,9 @@ def _write_grid(shape: SdfAsset, out: Path) -> str:
     placement = sdf_scene.placement(shape, Frame.of(shape.surface()[0], size_mm=1.0))
     settings = "".join(f', {name}="{value:.6g}"' for name, value in placement.items())
     xml = scene.find(shape.name, scene.GRID)
-    return f'look at it with mi.load_file("{xml}", grid="{out}"{settings}) after `import genmf_mi.plugins`'
+    return f'render it with mi.load_file("{xml}", grid="{out}"{settings}) after `import genmf_mi.plugins`'
+
+
+def main(arguments: list[str]) -> int:
+    """Read the arguments and convert."""
+    return call(convert, "convert", arguments)

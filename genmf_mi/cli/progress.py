@@ -1,156 +1,103 @@
-"""What a person sees in the terminal while a refinement runs, and the table at its end."""
+"""The progress of long work in the terminal."""
 
 from __future__ import annotations
 
-from pathlib import Path
+import sys
+import time
+from collections.abc import Collection, Mapping
+from types import TracebackType
+from typing import TYPE_CHECKING
 
-from genmf_mi.core.config import RefineConfig
-from genmf_mi.pipeline import sweep
-from genmf_mi.pipeline.refinement import Listener, refine
-from genmf_mi.report import tables
-from genmf_mi.report.tables import TextTable
+from genmf_mi.core.progress import Progress
 
-SHOWN = ("loss", "grey_lpips", "ssim", "teacher_depth", "stress_band")
-COLUMNS = (
-    ("SSIM", "ssim"),
-    ("LPIPS", "lpips_alex"),
-    ("LPIPS (VGG)", "lpips_vgg"),
-    ("g-SSIM", "g_ssim"),
-    ("g-LPIPS", "g_lpips"),
-)
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import TaskID
 
 
-class Terminal(Listener):
-    """A line per step, and a bar with losses and the time left for the iterations."""
+class TerminalProgress(Progress):
+    """A line with the current stage, and for work that is counted a bar with figures and the time left.
 
-    def __init__(self) -> None:
-        from rich.progress import (
-            BarColumn,
-            MofNCompleteColumn,
-            Progress,
-            SpinnerColumn,
-            TextColumn,
-            TimeRemainingColumn,
-        )
-
-        self.progress = Progress(
-            SpinnerColumn(),
-            TextColumn("{task.description}"),
-            BarColumn(bar_width=24),
-            MofNCompleteColumn(),
-            TimeRemainingColumn(),
-            transient=True,
-        )
-        self.task = self.progress.add_task("starting", total=None)
-        self.heading = ""
-
-    def say(self, text: str) -> None:
-        self.progress.update(self.task, description=self.heading + text, total=None, completed=0)
-
-    def iteration(self, index: int, count: int, terms: dict[str, float]) -> None:
-        losses = "  ".join(f"{name} {terms[name]:.3f}" for name in SHOWN if name in terms)
-        self.progress.update(
-            self.task, description=f"{self.heading}refining  {losses}", total=count, completed=index + 1
-        )
-
-
-def run_refine(asset: str, config: RefineConfig, *, out: Path | None, quiet: bool, **options) -> int:
-    """``genmf-mi refine``: refine with progress, print the table and where the files are."""
-    out = out or Path("runs") / Path(asset).stem
-    if quiet:
-        result = refine(asset, config, out=out, **options)
-    else:
-        terminal = Terminal()
-        with terminal.progress:
-            result = refine(asset, config, out=out, listener=terminal, **options)
-    print_table(result.metrics)
-    if stress := tables.stress(result.metrics):
-        print_cells("thermal stress by finite elements, MPa", stress)
-    relief, solid = result.metrics["relief_mm"], result.metrics["solid"]
-    print(
-        f"relief: at most {relief['max']:.2f} mm, mean {relief['mean']:.2f} mm; "
-        f"{'watertight' if solid['watertight'] else 'NOT watertight'}, {solid['bodies']} body, "
-        f"{solid['self_intersections']} self-intersections; {result.metrics['seconds']['total']:.0f} s"
-    )
-    if reason := result.metrics.get("stress_stage_left_out"):
-        print(f"no stress stage: {reason}")
-    if result.metrics["interrupted"]:
-        print(f"interrupted after {result.metrics['iterations']} iterations: the part so far. Continue with --resume.")
-    print(f"print {out / 'refined.3mf'}, look at {out / 'report.html'}")
-    return 0
-
-
-def run_sweep(
-    asset: str, weights: tuple[float, ...], config: RefineConfig, *, out: Path | None, quiet: bool, **options
-) -> int:
-    """``genmf-mi sweep``: one refinement per weight with progress, then the table."""
-    out = out or Path("runs") / f"{Path(asset).stem}-sweep"
-    if quiet:
-        found = sweep.sweep(asset, weights, config, out=out, **options)
-    else:
-        terminal = Terminal()
-
-        def begin(weight: float) -> None:
-            terminal.heading = f"stress weight {weight:g}: "
-
-        with terminal.progress:
-            found = sweep.sweep(asset, weights, config, out=out, listener=terminal, begin=begin, **options)
-    print_cells(f"{found['asset']}: appearance, and thermal stress by finite elements in MPa", sweep.table(found))
-    print(f"numbers in {out / sweep.SUMMARY}, picture in {out / sweep.PICTURE}")
-    return 0
-
-
-def run_evaluate(
-    original: Path, refined: Path, size_mm: float = 100.0, scene: Path | None = None, json: bool = False
-) -> int:
-    """Score a one-colour shape against the textured asset that it should look like.
+    A context manager: the line is shown inside and gone afterwards. Line and warnings go to standard error, so that
+    standard output holds results alone; where standard error is not a terminal, only warnings are printed.
 
     Args:
-        original: The textured asset.
-        refined: The one-colour shape, in the same pose (any scale and position).
-        size_mm: Longest side of the part.
-        scene: A scene file; the sample's own or the default one if not given.
-        json: Print JSON instead of a table.
+        quiet: print warnings only.
+        shown: names of the values to show, in this order; all of them if None.
+        console: where to draw; standard error if None.
     """
-    from genmf_mi.pipeline.evaluation import evaluate
 
-    metrics = evaluate(original, refined, size_mm=size_mm, scene=scene)
-    if json:
-        from json import dumps
+    def __init__(
+        self, *, quiet: bool = False, shown: Collection[str] | None = None, console: Console | None = None
+    ) -> None:
+        from rich import progress
+        from rich.console import Console
 
-        print(dumps(metrics, indent=2))
-    else:
-        print_table(metrics)
-    return 0
+        console = console or Console(stderr=True)
+        self._shown, self._stage, self._remaining = shown, "starting", _Remaining()
+        self._display = progress.Progress(
+            progress.SpinnerColumn(),
+            progress.TextColumn("{task.description}", markup=False),
+            progress.BarColumn(bar_width=24),
+            progress.TextColumn("{task.fields[count]}", markup=False),
+            progress.TextColumn("{task.fields[remaining]}", markup=False),
+            console=console,
+            transient=True,
+            redirect_stdout=sys.stdout.isatty(),
+            disable=quiet or not console.is_terminal,
+        )
+        self._task = self._new_task()
+
+    def __enter__(self) -> TerminalProgress:
+        self._display.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._display.stop()
+
+    def stage(self, name: str) -> None:
+        self._stage = name
+        self._display.remove_task(self._task)  # the only way back to a bar without an end
+        self._task = self._new_task()
+
+    def advance(self, done: float, total: float, values: Mapping[str, float] | None = None) -> None:
+        values = values or {}
+        names = [name for name in self._shown if name in values] if self._shown is not None else list(values)
+        self._display.update(
+            self._task,
+            description="  ".join([self._stage, *(f"{name} {values[name]:#.4g}" for name in names)]),
+            completed=done,
+            total=total,
+            count=f"{done / total:.0%}" if total <= 1 else f"{done:.0f}/{total:.0f}",
+            remaining=self._remaining.after(done, total),
+        )
+
+    def warn(self, message: str) -> None:
+        print(f"warning: {message}", file=sys.stderr)  # rich moves it above the line
+
+    def _new_task(self) -> TaskID:
+        return self._display.add_task(self._stage, total=None, count="", remaining="")
 
 
-def print_table(metrics: dict) -> None:
-    """The scores of all shapes, on the standard and on the unseen views."""
-    from rich.console import Console
-    from rich.table import Table
+class _Remaining:
+    """Estimates the time left from the pace since the count began, whatever stages it goes through.
 
-    table = Table(title=metrics.get("asset"), title_justify="left")
-    table.add_column("")
-    for title, _ in COLUMNS:
-        table.add_column(title, justify="right")
-    for prefix, block in (("", metrics), ("unseen: ", metrics.get("unseen") or {})):
-        for row in ("before", "displacement", "unconstrained", "after"):
-            if row in block:
-                values = [block[row].get(key) for _, key in COLUMNS]
-                table.add_row(prefix + row, *("–" if v is None else f"{v:.4f}" for v in values))
-        table.add_section()
-    Console().print(table)
+    Another count has begun where fewer steps are done than before or the total is another; a training that ends by the
+    clock estimates its total anew each time, so totals within 10 % are the same.
+    """
 
+    def __init__(self) -> None:
+        self._total = self._first = self._last = self._start = 0.0
 
-def print_cells(title: str, cells: TextTable) -> None:
-    """Cells that are text already, numbers to the right; where it is narrow, the titles wrap first."""
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left")
-    for i, column in enumerate(cells.columns):
-        widest = max(len(row[i]) for row in cells.rows)
-        table.add_column(column, justify="right" if i else "left", min_width=widest if i else None)
-    for row in cells.rows:
-        table.add_row(*row)
-    Console().print(table)
+    def after(self, done: float, total: float) -> str:
+        """The time left when ``done`` of ``total`` is done, as "0:02:30 left"; empty while there is no pace yet."""
+        now = time.monotonic()
+        if done < self._last or abs(total - self._total) > 0.1 * total:
+            self._first, self._start = done, now
+        self._last, self._total = done, total
+        if done <= self._first:
+            return ""
+        seconds = round((now - self._start) * (total - done) / (done - self._first))
+        return f"{seconds // 3600}:{seconds // 60 % 60:02}:{seconds % 60:02} left"

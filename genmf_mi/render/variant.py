@@ -74,6 +74,11 @@ def use(device: str = "auto") -> str:
         raise SetupError(
             "no CUDA device is visible to both torch and Dr.Jit. Use --device cpu, or see `genmf-mi doctor`."
         )
+    import drjit
+
+    if drjit.log_level() == drjit.LogLevel.Warn:
+        # The default prints a line for each kernel that cannot be kept in the cache on a full disk
+        drjit.set_log_level(drjit.LogLevel.Error)
     if device == "auto":
         device = "cuda" if cuda_available() else "cpu"
     if device == "cpu":

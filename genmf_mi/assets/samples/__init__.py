@@ -63,15 +63,3 @@ def resolve(asset: str | Path) -> Path:
         return Path(asset)
     cache = Path(os.environ.get("GENMF_CACHE") or "~/.cache/genmf_mi").expanduser()
     return write(str(asset), cache / "samples")
-
-
-def samples(out: Path = Path("samples")) -> None:
-    """Write every bundled sample to a folder as GLB.
-
-    Args:
-        out: the folder.
-    """
-    from rich.progress import track
-
-    for name in track(NAMES, description="samples"):
-        print(write(name, out))

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from generator_files import of_instantmesh, write
 from toys import egg, painted
 
 from genmf_mi.assets import asset
@@ -17,6 +16,19 @@ from genmf_mi.cli import main as cli
 from genmf_mi.mesh import measures
 
 pytestmark = pytest.mark.usefixtures("workplace")
+
+
+def instantmesh_file() -> str:
+    """A ball in InstantMesh's form: positive inside, with offsets of the grid's vertices and FlexiCubes weights."""
+    n, random = 24, np.random.default_rng(0)
+    x, y, z = np.meshgrid(*3 * [(np.arange(n + 1) / n - 0.5) * 2.1], indexing="ij")
+    np.savez(
+        "chair.npz",
+        sdf=(5 * (0.7 - np.sqrt(x**2 + 2 * y**2 + z**2))).reshape(1, -1, 1).astype(np.float32),
+        deformation=random.standard_normal((1, (n + 1) ** 3, 3), dtype=np.float32),
+        weights=0.1 * random.standard_normal((1, n**3, 21), dtype=np.float32),
+    )
+    return "chair.npz"
 
 
 def convert(*arguments: str) -> int:
@@ -34,7 +46,8 @@ class TestFromMeshes:
     def test_there_and_back(self, sdf, capsys):
         """The egg again, closed, its stripes where they were; trimesh reads it."""
         assert convert(sdf) == 0
-        assert re.search(r"toy\.glb: \d+ vertices, \d+ faces, with colours, closed, 1 body", capsys.readouterr().out)
+        printed = capsys.readouterr().out
+        assert re.search(r"toy\.glb: \d+ vertices, \d+ faces, with colours, closed, 1 component", printed)
         mesh = trimesh.load_mesh("toy.glb", process=False)
         assert mesh.is_watertight and mesh.volume == pytest.approx(egg().volume, rel=0.01)
         np.testing.assert_allclose(mesh.bounds, egg().bounds, atol=0.01)
@@ -55,7 +68,7 @@ class TestFromMeshes:
         assert capsys.readouterr().out.count("without colours") == 2
         assert not asset.load("plain.glb").textured
 
-    def test_thin_walls_are_said(self, capsys):
+    def test_thin_walls_are_reported(self, capsys):
         trimesh.creation.box((1, 1, 0.03)).export("sheet.stl")
         assert convert("sheet.stl", "--samples", "33") in (0, 2)
         captured = capsys.readouterr()
@@ -65,9 +78,8 @@ class TestFromMeshes:
 class TestFromGenerators:
     def test_instantmesh_to_a_mesh(self, capsys):
         """Turned upright and in its units, as the file's own surface."""
-        write(Path("chair.npz"), of_instantmesh())
-        assert convert("chair.npz", "--out", "chair.glb") == 0
-        assert "closed, 1 body" in capsys.readouterr().out
+        assert convert(instantmesh_file(), "--out", "chair.glb") == 0
+        assert "closed, 1 component" in capsys.readouterr().out
         vertices, faces = files.load("chair.npz").surface(training=True)
         found = asset.load("chair.glb")
         np.testing.assert_allclose(found.vertices, vertices, atol=1e-6)
@@ -75,9 +87,8 @@ class TestFromGenerators:
         assert measures.signed_volume(found.vertices, found.faces) > 0
 
     def test_with_the_colours_of_a_mesh(self):
-        """To a file of the one schema, which then needs no other."""
-        write(Path("chair.npz"), of_instantmesh())
-        assert convert("chair.npz", "--out", "chair.glb") == 0
+        """To an SDF file that holds the colours too."""
+        assert convert(instantmesh_file(), "--out", "chair.glb") == 0
         mesh = trimesh.load_mesh("chair.glb", process=False)
         colours = np.tile(np.uint8([200, 40, 90, 255]), (len(mesh.vertices), 1))
         mesh.visual = trimesh.visual.ColorVisuals(vertex_colors=colours)
@@ -112,7 +123,7 @@ class TestRefusals:
 
     def test_what_is_there_stays(self, sdf, capsys):
         before = sdf.read_bytes()
-        self.refused(capsys, "toy.npz is there already. Use --force", "toy.ply")
+        self.refused(capsys, "toy.npz exists already. Use --force", "toy.ply")
         assert sdf.read_bytes() == before
         assert convert("toy.ply", "--samples", "17", "--force") == 0
         assert files.load(sdf).resolution == 16

@@ -1,23 +1,22 @@
-"""The sweep over the weight of the stress: which runs are made, what is told of them, and how it goes on."""
+"""The sweep over the weight of the stress: which runs are made, how they are compared, and how it continues."""
 
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import yaml
 from PIL import Image
 
-from genmf_mi.cli import main as cli
-from genmf_mi.cli import progress
 from genmf_mi.core.config import PRESETS, RefineConfig
 from genmf_mi.core.errors import ConfigError
-from genmf_mi.pipeline import sweep
-from genmf_mi.pipeline.run_folder import CHECKPOINT, Run
+from genmf_mi.core.progress import Progress
+from genmf_mi.pipeline import run_folder, sweep
+from genmf_mi.pipeline.run_folder import CHECKPOINT, METRICS
 from genmf_mi.report import tables
 
 pytestmark = pytest.mark.usefixtures("workplace")
@@ -43,11 +42,11 @@ class Refine:
         self.calls: list[tuple[str, RefineConfig, dict]] = []
         self.interrupt_at: str | None = None
 
-    def __call__(self, asset, config, *, out, verify, force, resume, listener, **options) -> SimpleNamespace:
+    def __call__(self, asset, config, *, out, verify, force, resume, progress=None, **options) -> SimpleNamespace:
         self.calls.append((out.name, config, {"verify": verify, "resume": resume, **options}))
-        run = Run.open(out, "toy", config, force=force, resume=resume)
-        run.save({"iteration": np.array(0)}, [])
-        listener and listener.say("refining")
+        out.mkdir(parents=True, exist_ok=True)
+        (out / run_folder.CONFIG).write_text(yaml.safe_dump({"asset": "toy", **config.to_dict()}))
+        (progress or Progress()).stage("refining")
         interrupted = out.name == self.interrupt_at
         shapes = {"before": summary(1), "after": summary(1 + 0.4 * relief(config))}
         metrics = {
@@ -58,7 +57,8 @@ class Refine:
             "interrupted": interrupted,
             **({} if interrupted else {"stress": {"shapes": {name: shapes[name] for name in verify}}}),
         }
-        run.finish(metrics)
+        (out / METRICS).write_text(json.dumps(metrics))
+        (out / CHECKPOINT).touch() if interrupted else (out / CHECKPOINT).unlink(missing_ok=True)
         return SimpleNamespace(metrics=metrics)
 
 
@@ -132,6 +132,16 @@ class TestRuns:
             sweep.sweep("toy.glb", (1.0,), replace(CONFIG, method="displacement"), out=Path("out"))
         assert not runs.calls
 
+    def test_stages_name_the_weight(self, runs) -> None:
+        class Stages(Progress):
+            names: list[str] = []  # noqa: RUF012
+
+            def stage(self, name: str) -> None:
+                self.names.append(name)
+
+        sweep.sweep("toy.glb", (0.3,), CONFIG, out=Path("out"), progress=Stages())
+        assert len(Stages.names) == 2 and "0.3" in Stages.names[1] and "refining" in Stages.names[1]
+
 
 class TestNumbers:
     @pytest.fixture
@@ -164,40 +174,3 @@ class TestNumbers:
     def test_no_gain_to_keep(self) -> None:
         assert tables.kept_gain(0.3, 0.3, 0.2) is None
         assert tables.kept_gain(0.3, 0.1, 0.15) == pytest.approx(0.75)
-
-
-class TestCommand:
-    def test_whole(self, runs, capsys) -> None:
-        """Settings of a refinement come in one string; the table and the files are named."""
-        settings = "--arguments=--preset draft --size-mm 80 --scene a.xml"
-        assert cli.main(["sweep", "toy.glb", "--stress-weight", "0,2", settings]) == 0
-        made = {name: config for name, config, _ in runs.calls}
-        assert made["w2"] == replace(PRESETS["draft"], size_mm=80.0, stress=True, stress_weight=2.0)
-        assert runs.calls[0][2]["scene"] == Path("a.xml")
-        text = re.sub(r"\s+", " ", capsys.readouterr().out)
-        assert "increase" in text and "2.267 ×0.81" in text and "33 %" in text
-        assert "runs/toy-sweep/sweep.json" in text and Path("runs/toy-sweep/sweep.png").exists()
-
-    def test_weights_by_default(self, monkeypatch) -> None:
-        asked = []
-        monkeypatch.setattr(progress, "run_sweep", lambda asset, weights, *_, **__: asked.append((asset, weights)))
-        assert cli.main(["sweep", "toy.glb"]) == 0
-        assert asked == [("toy.glb", (0.0, 0.3, 1.0, 3.0, 10.0))]
-
-    @pytest.mark.parametrize(
-        ("arguments", "message"),
-        [
-            (["--stress-weight", "much"], "numbers such as 0,1,3, not 'much'"),
-            (["--stress-weight", "0,-1"], "cannot be negative"),
-            (["--arguments=--out here"], "give them to the sweep itself"),
-        ],
-    )
-    def test_what_cannot_be_understood(self, runs, capsys, arguments, message) -> None:
-        assert cli.main(["sweep", "toy.glb", *arguments]) == 2
-        assert message in capsys.readouterr().err
-        assert not runs.calls
-
-    def test_ctrl_c(self, runs, capsys) -> None:
-        runs.interrupt_at = "w1"
-        assert cli.main(["sweep", "toy.glb", "--stress-weight", "1"]) == cli.INTERRUPTED
-        assert "interrupted" in capsys.readouterr().err

@@ -1,14 +1,17 @@
-"""The doctor's verdicts and cures; the machine itself is only looked at."""
+"""The checks of the doctor and what it installs; nothing is installed here."""
 
 from __future__ import annotations
 
 import json
+import os
 import subprocess
+import sys
 
 import pytest
 
-from genmf_mi.cli import doctor
-from genmf_mi.cli.doctor import Check
+from genmf_mi.cli import checks, doctor
+from genmf_mi.cli import main as cli
+from genmf_mi.cli.checks import Check
 from genmf_mi.core.errors import SetupError
 
 
@@ -24,9 +27,9 @@ from genmf_mi.core.errors import SetupError
     ],
 )
 def test_llvm_versions(version, status):
-    check = doctor.check_llvm(version)
+    check = checks.check_llvm(version)
     assert check.status == status
-    assert (check.mend != "") == (status == "missing")
+    assert (check.fix != "") == (status == "missing")
 
 
 def test_this_machine(capsys):
@@ -43,10 +46,11 @@ def test_this_machine(capsys):
         "Rendering",
         "GPU",
         "LPIPS weights",
+        "Kernel cache",
     } <= found.keys()
     assert status == (0 if report["ok"] else 1)
     assert report["ok"] == all(check["status"] != "missing" for check in report["checks"])
-    assert all(check["mend"] for check in report["checks"] if check["status"] != "ok")
+    assert all(check["fix"] for check in report["checks"] if check["status"] != "ok")
 
 
 def test_an_abort_of_drjit_is_survived(monkeypatch):
@@ -54,21 +58,21 @@ def test_an_abort_of_drjit_is_survived(monkeypatch):
         [], -6, '{"llvm": [19, 1, 7], "llvm_path": "", "gpu": ""}\n', "LLVM ERROR: Cannot select"
     )
     monkeypatch.setattr(subprocess, "run", lambda *_, **__: died)
-    llvm, rendering, gpu = doctor.check_rendering()
+    llvm, rendering, gpu = checks.check_rendering()
     assert (llvm.status, rendering.status, gpu.status) == ("ok", "missing", "optional")
-    assert "Cannot select" in rendering.found
+    assert "Cannot select" in rendering.detail
 
 
 def test_missing_weights_fail_the_examination(tmp_path, monkeypatch):
     monkeypatch.delenv("GENMF_LPIPS_WEIGHTS", raising=False)
     monkeypatch.setenv("GENMF_CACHE", str(tmp_path))
-    check = doctor.check_weights()
+    check = checks.check_weights()
     assert check.status == "missing"
-    assert "genmf-mi weights" in check.mend
+    assert "genmf-mi weights" in check.fix
 
 
 def test_missing_package():
-    assert doctor.check_package("no_such_package", "Nothing").status == "missing"
+    assert checks.check_package("no_such_package", "Nothing").status == "missing"
 
 
 def test_table_and_exit_status(monkeypatch, capsys):
@@ -89,7 +93,7 @@ def test_fix_installs_what_is_missing(monkeypatch, capsys):
         lambda: [Check("LLVM", "ok" if installed else "missing", ""), Check("LPIPS weights", "ok", "")],
     )
     monkeypatch.setattr(doctor, "install_llvm", lambda: installed.append("llvm"))
-    monkeypatch.setattr(doctor, "install", lambda: installed.append("weights"))
+    monkeypatch.setattr(doctor, "install_weights", lambda: installed.append("weights"))
     assert doctor.doctor(fix=True) == 0
     assert installed == ["llvm"]
     assert doctor.doctor(fix=True) == 0
@@ -97,10 +101,16 @@ def test_fix_installs_what_is_missing(monkeypatch, capsys):
 
 
 def test_fix_that_fails_says_why(monkeypatch, capsys):
-    monkeypatch.setattr(doctor, "examine", lambda: [Check("LLVM", "missing", "")])
+    """And installs the rest."""
+    installed = []
+    monkeypatch.setattr(
+        doctor, "examine", lambda: [Check("LLVM", "missing", ""), Check("LPIPS weights", "missing", "")]
+    )
+    monkeypatch.setattr(doctor, "install_weights", lambda: installed.append("weights"))
     monkeypatch.setattr(doctor.shutil, "which", lambda name: None)
-    assert doctor.doctor(fix=True) == 1
+    assert cli.main(["doctor", "--fix"]) == 1
     assert "cannot be installed from here" in capsys.readouterr().err
+    assert installed == ["weights"]
 
 
 def test_llvm_without_rights_names_the_command(monkeypatch):
@@ -127,3 +137,36 @@ def test_llvm_as_user_goes_through_sudo(monkeypatch):
     assert all(command[:2] == ["sudo", "-n"] for command in commands)
     assert commands[-1][-1] == "libllvm19"
     assert "install" in commands[-1]
+
+
+def test_kernel_cache(tmp_path, monkeypatch):
+    """Dr.Jit works without one, so that a refinement does not mention it."""
+    monkeypatch.setenv("DRJIT_CACHE_DIR", str(tmp_path / "deep" / "kernels"))
+    assert checks.check_kernel_cache().status == "ok"
+    monkeypatch.setattr(checks, "CACHE_BYTES", 1e18)
+    check = checks.check_kernel_cache()
+    assert check.status == "optional" and "DRJIT_CACHE_DIR" in check.fix and "kernels" in check.detail
+
+
+def test_it_runs_where_everything_is_missing(tmp_path):
+    """As after a failed installation: each package that cannot be imported is a line of the report."""
+    missing = ("mitsuba", "drjit", "torch", "pymeshlab", "numpy", "scipy", "skfem", "igl", "trimesh", "matplotlib")
+    code = f"""
+import sys
+class Missing:
+    def find_spec(name, path=None, target=None):
+        if name.partition(".")[0] in {missing}:
+            raise ModuleNotFoundError("No module named " + name)
+sys.meta_path.insert(0, Missing)
+from genmf_mi.cli import checks, main
+checks.subprocess.run = lambda *_, **__: checks.subprocess.CompletedProcess([], 1, "", "ImportError: no mitsuba")
+sys.exit(main.main(["doctor", "--json"]))
+"""
+    command = [sys.executable, "-c", code]
+    environment = {**os.environ, "GENMF_CACHE": str(tmp_path)}
+    process = subprocess.run(command, capture_output=True, encoding="utf-8", env=environment, check=False)
+    assert process.returncode == 1 and process.stderr == ""
+    report = {check["name"]: check["status"] for check in json.loads(process.stdout)["checks"]}
+    assert [name for name, status in report.items() if status == "missing"] == [
+        "Mitsuba", "Dr.Jit", "PyTorch", "PyMeshLab", "Rendering", "LPIPS weights"]  # fmt: skip
+    assert "skfem" not in process.stdout.lower() and "scikit-fem" not in process.stdout.lower()

@@ -1,18 +1,14 @@
-"""The commands write what they say."""
+"""What is computed from a simulated field: figures, the grid, the picture."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 
-from genmf_mi.cli import stress as commands
-from genmf_mi.core.errors import OutputError
 from genmf_mi.core.frame import HALF_EXTENT, Frame
 from genmf_mi.sdf.distance import axis
 from genmf_mi.stress.fem import simulation as fem
@@ -24,75 +20,11 @@ from genmf_mi.stress.fem.tetrahedra import isosurface_stuffing
 from genmf_mi.stress.report import picture
 from genmf_mi.stress.report.comparison import in_layer, layer_ratio
 
-COARSE = {"edge_mm": 8.0, "grid": 33, "picture": False}
-
-
-@pytest.fixture
-def block(tmp_path: Path) -> Path:
-    """A block of 100 × 60 × 40 in units of its own, y up."""
-    path = tmp_path / "block.ply"
-    trimesh.creation.box((1.0, 0.6, 0.4)).export(path)
-    return path
-
 
 @pytest.fixture(scope="module")
 def simulation() -> fem.Simulation:
     mesh = trimesh.creation.icosphere(subdivisions=2, radius=3.0)
     return fem.simulate(mesh.vertices * [1, 0.7, 0.8], mesh.faces, fem.Settings(edge_mm=8.0, grid=33))
-
-
-def test_simulate_writes_its_files(block: Path, tmp_path: Path) -> None:
-    import meshio
-
-    out = tmp_path / "out"
-    commands.simulate(block, out=out, **COARSE)
-    numbers = json.loads((out / "stress.json").read_text())
-    assert 0.05 < numbers["von_mises_mpa"]["mean"] < numbers["von_mises_mpa"]["p99_9"] < 20
-    mesh = meshio.read(out / "stress.vtu")
-    extent = np.ptp(mesh.points, axis=0)
-    assert extent == pytest.approx([100, 40, 60], rel=0.02), "millimetres, z up"
-    assert mesh.points[:, 2].min() == pytest.approx(0.0, abs=1e-9)
-    assert set(mesh.point_data) == {"temperature_C", "displacement_mm", "von_mises_MPa"}
-    tensor = mesh.cell_data["stress_MPa"][0].reshape(-1, 3, 3)
-    deviator = tensor - np.trace(tensor, axis1=1, axis2=2)[:, None, None] / 3 * np.eye(3)
-    expected = np.sqrt(1.5 * (deviator**2).sum(axis=(1, 2)))
-    assert np.allclose(mesh.cell_data["von_mises_cell_MPa"][0], expected, rtol=1e-4)
-    with np.load(out / "stress.npz") as grid:
-        assert grid["phi"].shape == grid["von_mises_mpa"].shape == (33, 33, 33)
-        assert (grid["von_mises_mpa"][grid["phi"] > 0] == 0).all()
-    with pytest.raises(OutputError, match="--force"):
-        commands.simulate(block, out=out, **COARSE)
-
-
-def test_a_volume_mesh_gives_the_same(block: Path, tmp_path: Path) -> None:
-    commands.simulate(block, out=tmp_path / "a", **COARSE)
-    numbers = json.loads((tmp_path / "a" / "stress.json").read_text())
-    # The file is z up, while input is y up: turn it back.
-    import meshio
-
-    mesh = meshio.read(tmp_path / "a" / "stress.vtu")
-    turned = mesh.points[:, [0, 2, 1]] * [1, 1, -1]
-    meshio.Mesh(turned, mesh.cells).write(tmp_path / "block.vtu")
-    commands.simulate(tmp_path / "block.vtu", out=tmp_path / "b", **COARSE)
-    again = json.loads((tmp_path / "b" / "stress.json").read_text())
-    assert again["von_mises_mpa"]["mean"] == pytest.approx(numbers["von_mises_mpa"]["mean"], rel=0.01)
-
-
-def test_compare(block: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from PIL import Image
-
-    monkeypatch.setattr(picture, "write_picture", partial(picture.write_picture, pixels=40))
-    larger = tmp_path / "larger.ply"
-    trimesh.creation.box((1.05, 0.6, 0.4)).export(larger)
-    settings = {**COARSE, "out": tmp_path / "out", "picture": True}
-    commands.compare(block, larger, **settings)
-    with Image.open(tmp_path / "out" / "compare.png") as sheet:
-        assert sheet.height > 0.8 * sheet.width, "two rows"
-    numbers = json.loads((tmp_path / "out" / "compare.json").read_text())
-    assert numbers["b"]["settings"]["size_mm"] == pytest.approx(105.0), "the same units, so the same scale"
-    means = [numbers[k]["von_mises_mpa"]["mean"] for k in "ab"]
-    assert numbers["ratio"]["mean"] == pytest.approx(means[1] / means[0])
-    assert 0.5 < numbers["ratio"]["surface_layer_mean"] < 2.0
 
 
 def test_stress_follows_the_material(simulation: fem.Simulation) -> None:

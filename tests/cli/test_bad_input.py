@@ -21,6 +21,7 @@ from genmf_mi.mesh import solid
 from genmf_mi.pipeline import displacement
 from genmf_mi.pipeline import evaluation as evaluate
 from genmf_mi.pipeline import problem as prepare
+from genmf_mi.pipeline.run_folder import CHECKPOINT
 from genmf_mi.render import scene, target, variant
 
 pytestmark = pytest.mark.usefixtures("workplace", "lpips_weights")
@@ -119,7 +120,7 @@ BAD = {
 }  # fmt: skip
 
 
-def said(capsys) -> str:
+def printed_error(capsys) -> str:
     """The error that was printed: one line, alone on standard error."""
     captured = capsys.readouterr()
     assert "Traceback" not in captured.out + captured.err
@@ -142,7 +143,7 @@ def test_is_one_line_and_exit_code_2(name, capsys, monkeypatch):
     arguments, before = make(), files_here()
     monkeypatch.setattr(solid, "remesh", lambda *_: pytest.fail("this should have been refused before"))
     assert cli.main(["refine", *arguments]) == 2
-    line = said(capsys)
+    line = printed_error(capsys)
     assert re.search(named, line) and re.search(advised, line), line
     assert files_here() - before <= {f"runs/{Path(arguments[0]).stem}/config.yaml"}
 
@@ -150,7 +151,7 @@ def test_is_one_line_and_exit_code_2(name, capsys, monkeypatch):
 def test_can_be_mended_and_tried_again(capsys, monkeypatch):
     """The failed attempt does not stand in the way of the next."""
     assert cli.main(["refine", *toy("--scene", "my.xml", "--quiet")]) == 2
-    assert "my.xml" in said(capsys)
+    assert "my.xml" in printed_error(capsys)
     monkeypatch.setattr(prepare, "prepare", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
     assert cli.main(["refine", "toy.ply"]) == cli.INTERRUPTED
     assert capsys.readouterr().err.splitlines()[-1] == "interrupted"
@@ -161,7 +162,7 @@ class TestMachine:
     def test_llvm_too_old(self, found, message, capsys, monkeypatch):
         monkeypatch.setattr(variant, "llvm_version", lambda: found)
         assert cli.main(["refine", *toy("--device", "cpu")]) == 2
-        line = said(capsys)
+        line = printed_error(capsys)
         assert re.search(message, line) and "apt-get install libllvm" in line
         assert not Path("runs").exists()
 
@@ -174,7 +175,7 @@ class TestMachine:
         )
         monkeypatch.setattr(prepare, "prepare", lambda *_, **__: pytest.fail("this should have been refused before"))
         assert cli.main(arguments) == 2
-        line = said(capsys)
+        line = printed_error(capsys)
         assert "are not in no weights" in line and "Run `genmf-mi weights`" in line
         perceptual._network.cache_clear()
 
@@ -182,7 +183,7 @@ class TestMachine:
         if variant.cuda_available():
             pytest.skip("there is one")
         assert cli.main(["refine", *toy("--device", "cuda")]) == 2
-        assert "--device cpu" in said(capsys)
+        assert "--device cpu" in printed_error(capsys)
 
     def test_no_room_for_temporary_files(self, capsys, monkeypatch, full_disk):
         def full(*arguments, written=prepare.bridge.write_ply, **options):
@@ -191,8 +192,22 @@ class TestMachine:
 
         monkeypatch.setattr(prepare.bridge, "write_ply", full)
         assert cli.main(["refine", *toy("--max-faces", "3000", "--edge-mm", "4")]) == 2
-        assert re.search(r"\.ply: File too large\. Free some space, or point TMPDIR elsewhere", said(capsys))
+        assert re.search(r"\.ply: File too large\. Free some space, or point TMPDIR elsewhere", printed_error(capsys))
         assert os.listdir(tempfile.gettempdir()) == []
+
+    def test_no_room_for_the_kernels_of_drjit(self, capfd, monkeypatch, full_disk):
+        """They are compiled anew by the next run: not worth a line for each, among which an error would be lost."""
+        import drjit
+        import mitsuba as mi
+
+        variant.use("cpu")
+        drjit.sync_thread()
+        with full_disk():
+            x = drjit.arange(mi.Float, 1000)
+            for factor in np.random.default_rng().random(100):  # no kernel of an earlier test
+                x += drjit.sin(x * float(factor))
+            assert np.isfinite(np.array(drjit.sum(x))).all()
+        assert capfd.readouterr().err == ""
 
 
 class TestOtherCommands:
@@ -213,7 +228,7 @@ class TestOtherCommands:
         toy()
         plain("plain.glb")
         assert cli.main(arguments) == 2
-        assert re.search(message, said(capsys))
+        assert re.search(message, printed_error(capsys))
 
 
 def test_disk_full_while_writing(capsys, monkeypatch, two_views, full_disk):
@@ -231,8 +246,8 @@ def test_disk_full_while_writing(capsys, monkeypatch, two_views, full_disk):
     with monkeypatch.context() as patch:
         patch.setattr(fabricate, "_write_3mf", full)
         assert cli.main(arguments) == 2
-    assert re.search(r"runs/toy/refined\.3mf: File too large\. Free some space", said(capsys))
-    assert set(os.listdir("runs/toy")) == {"checkpoint.npz", "metrics.jsonl", "config.yaml"}
+    assert re.search(r"runs/toy/refined\.3mf: File too large\. Free some space", printed_error(capsys))
+    assert set(os.listdir("runs/toy")) == {CHECKPOINT, "metrics.jsonl", "config.yaml"}
     assert os.listdir(tempfile.gettempdir()) == []
 
     assert cli.main([*arguments, "--resume"]) == 0

@@ -1,0 +1,38 @@
+"""``genmf-mi evaluate``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from genmf_mi.cli.arguments import call
+
+
+def evaluate(
+    original: Path, refined: Path, size_mm: float = 100.0, scene: Path | None = None, json: bool = False
+) -> int:
+    """Score a one-colour shape against the textured asset that it should look like.
+
+    Args:
+        original: The textured asset.
+        refined: The one-colour shape, in the same pose (any scale and position).
+        size_mm: Longest side of the part.
+        scene: A scene file; the sample's own or the default one if not given.
+        json: Print JSON instead of a table.
+    """
+    from genmf_mi.pipeline import evaluation
+
+    metrics = evaluation.evaluate(original, refined, size_mm=size_mm, scene=scene)
+    if json:
+        from json import dumps
+
+        print(dumps(metrics, indent=2))
+    else:
+        from genmf_mi.cli.tables import print_scores
+
+        print_scores(metrics)
+    return 0
+
+
+def main(arguments: list[str]) -> int:
+    """Read the arguments and score."""
+    return call(evaluate, "evaluate", arguments)
