@@ -28,7 +28,7 @@ from genmf_mi.stress.fem import simulation as fem
 from genmf_mi.stress.fem.statistics import summary
 from genmf_mi.stress.model.network import window
 from genmf_mi.stress.model.predictor import Predictor
-from genmf_mi.stress.training.metrics import BAND
+from genmf_mi.stress.training.metrics import surface_band_depth
 
 SMOOTHING = 30.0
 """λ of the preconditioner, as in a refinement."""
@@ -81,7 +81,7 @@ def step(phi: torch.Tensor, predictor: Predictor, step_mm: float, edge_mm: float
 
     def band(vertices: torch.Tensor) -> torch.Tensor:
         field = distance(vertices)
-        return losses.mean(predictor.field(field, box), losses.band(field, BAND))
+        return losses.mean(predictor.field(field, box), losses.band(field, surface_band_depth(predictor.settings.size_mm)))
 
     before = band(vertices)
     before.backward()

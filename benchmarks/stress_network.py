@@ -37,10 +37,10 @@ TRIED = (
     ("compact", PRESETS["compact"], FULL, False),
     ("compact", PRESETS["compact"], USUAL, True),
     ("compact", PRESETS["compact"], USUAL, False),
-    ("narrower, C = 16", Architecture(16, side=2), USUAL, True),
-    ("wider, C = 32", Architecture(32, side=2), USUAL, True),
-    ("three poolings", Architecture(24, side=2, poolings=3), USUAL, True),
-    ("blocks of 4³, C = 48", Architecture(48, side=4, poolings=3), USUAL, True),
+    ("narrower, C = 16", Architecture(16, block_size=2), USUAL, True),
+    ("wider, C = 32", Architecture(32, block_size=2), USUAL, True),
+    ("three poolings", Architecture(24, block_size=2, poolings=3), USUAL, True),
+    ("blocks of 4³, C = 48", Architecture(48, block_size=4, poolings=3), USUAL, True),
     ("no blocks, C = 8", Architecture(8), USUAL, True),
 )
 

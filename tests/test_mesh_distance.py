@@ -128,7 +128,7 @@ def test_samples_on_the_surface() -> None:
 def test_gradient_of_mean_and_variance_of_the_stress() -> None:
     """∂E(σ̂)/∂vertices and ∂Var(σ̂)/∂vertices through Φ and a network, within 2 % of central differences."""
     torch.manual_seed(0)
-    net = StressNetwork(Architecture(4, side=2, poolings=2, grid=N)).double()
+    net = StressNetwork(Architecture(4, block_size=2, poolings=2, grid=N)).double()
     mesh = body()
     vertices = tensor(mesh.vertices, requires_grad=True)
     distance = MeshDistance(mesh.faces, N, every=1000)

@@ -22,7 +22,7 @@ from genmf_mi.stress.model.predictor import Predictor
 
 CELL = 2 / (N - 1)
 EDGE_MM = 10.0
-ASKING = Architecture(4, side=2, poolings=2, coarse_mm=EDGE_MM, grid=N)
+ASKING = Architecture(4, block_size=2, poolings=2, coarse_mm=EDGE_MM, grid=N)
 SETTINGS = fem.Settings(grid=N, size_mm=80.0)
 
 

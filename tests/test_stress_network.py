@@ -13,7 +13,7 @@ from genmf_mi.stress.data.reader import turned
 from genmf_mi.stress.model import compute, layers
 from genmf_mi.stress.model.network import Architecture, StressNetwork, network, to_stress, to_target, window
 
-TINY = Architecture(4, side=2, poolings=2, grid=33)
+TINY = Architecture(4, block_size=2, poolings=2, grid=33)
 
 
 def grid(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -176,7 +176,7 @@ def test_refusals() -> None:
     with pytest.raises(ConfigError, match="preset"):
         network("huge")
     with pytest.raises(ConfigError, match="too small"):
-        Architecture(4, side=2, poolings=4, grid=17)
+        Architecture(4, block_size=2, poolings=4, grid=17)
     with pytest.raises(ConfigError, match="at least 1"):
         Architecture(0)
     with pytest.raises(ConfigError, match="no body"):

@@ -12,12 +12,14 @@ import torch
 import trimesh
 
 from genmf_mi.core.errors import ConfigError, OutputError
+from genmf_mi.core.frame import Frame
 from genmf_mi.sdf.distance import signed_distance
+from genmf_mi.sdf.redistance import redistance
 from genmf_mi.stress.data import codec, reader
 from genmf_mi.stress.data.dataset import FORMAT
-from genmf_mi.sdf.redistance import redistance
 from genmf_mi.stress.data.reader import StressSamples
 from genmf_mi.stress.fem.simulation import Settings
+from genmf_mi.stress.fem.statistics import SURFACE_BAND_MM
 from genmf_mi.stress.model import network, weights
 from genmf_mi.stress.model.network import Architecture, to_stress
 from genmf_mi.stress.model.weights import WeightsError
@@ -26,7 +28,7 @@ from genmf_mi.stress.training.config import TrainConfig
 from genmf_mi.stress.training.training import Watcher
 
 N = 33
-TINY = Architecture(4, side=2, poolings=2)
+TINY = Architecture(4, block_size=2, poolings=2)
 CONFIG = TrainConfig(steps=6, batch=2, rate=1e-2, validate_every=3, precision="float32", device="cpu")
 
 
@@ -96,8 +98,15 @@ def test_masked_loss_and_scores_against_loops(tail: float) -> None:
     ours = set(sorted(inside, key=lambda p: -float(predicted[p]))[:3])
     assert metrics.top_iou(predicted, true, phi) == len(ours & set(top)) / len(ours | set(top))
     assert metrics.top_iou(true, true, phi) == 1.0
-    near = [float(true[p]) for p in inside if phi[p] >= -metrics.BAND]
-    assert metrics.band_mean(true, phi) == pytest.approx(np.mean(near), rel=1e-5)
+    near = [float(true[p]) for p in inside if phi[p] >= -0.5]
+    assert metrics.band_mean(true, phi, 0.5) == pytest.approx(np.mean(near), rel=1e-5)
+
+
+def test_surface_band_is_as_deep_in_millimetres_at_any_size() -> None:
+    for size_mm in (50.0, 100.0):
+        frame = Frame((0.0, 0.0, 0.0), 1.0, size_mm)
+        assert metrics.surface_band_depth(size_mm) * frame.mm_per_unit == pytest.approx(SURFACE_BAND_MM)
+    assert metrics.surface_band_depth(100.0) == pytest.approx(0.076), "what the published scores were computed with"
 
 
 def test_loss_does_not_see_the_outside() -> None:

@@ -246,6 +246,8 @@ def _run(wanted: Iterator[int], out: Path, settings: DatasetSettings, workers: i
 
 def _same_settings(out: Path, settings: DatasetSettings) -> None:
     """Write the settings into an empty folder, or compare them with those that are there."""
+    from genmf_mi.stress.model.weights import with_current_names  # not at the top: no worker needs torch
+
     path = out / "settings.json"
     record = json.loads(json.dumps(settings.record()))
     if not path.exists():
@@ -254,6 +256,7 @@ def _same_settings(out: Path, settings: DatasetSettings) -> None:
         write_text(path, json.dumps(record, indent=2) + "\n")
         return
     there = json.loads(path.read_text(encoding="utf-8"))
+    there = {**there, "simulation": with_current_names(there.get("simulation", {}))}
     different = [key for key in record if record[key] != there.get(key)]
     if different:
         raise ConfigError(

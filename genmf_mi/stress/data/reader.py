@@ -19,7 +19,7 @@ from genmf_mi.sdf.redistance import redistance
 from genmf_mi.stress.data import codec
 from genmf_mi.stress.data.dataset import FORMAT, read_index
 from genmf_mi.stress.fem.coarse import coarse_stress
-from genmf_mi.stress.model.weights import settings_of
+from genmf_mi.stress.model.weights import settings_of, with_current_names
 
 SYMMETRIES = 8
 """Quarter turns about the vertical, each with and without a mirror image; the physics cannot tell them apart."""
@@ -155,4 +155,4 @@ def read_settings(folder: Path) -> dict:
         ) from error
     if not isinstance(settings, dict) or settings.get("format") != FORMAT:
         raise ConfigError(f"{folder} holds samples of another format than this program makes; make them again.")
-    return settings
+    return {**settings, "simulation": with_current_names(settings["simulation"])}

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from genmf_mi.core.errors import ConfigError
+from genmf_mi.stress.fem.simulation import Settings
 from genmf_mi.stress.model.network import StressNetwork, to_stress, window
 
 
@@ -29,13 +30,19 @@ def bfloat16_on(device: torch.device, precision: str = "auto") -> bool:
     return bool(there.get("avx512_bf16") or there.get("amx_bf16"))
 
 
-def log_stress(network: StressNetwork, phi: Tensor, bfloat16: bool, coarse: Tensor | None = None) -> Tensor:
+def log_stress(
+    network: StressNetwork,
+    phi: Tensor,
+    bfloat16: bool,
+    coarse: Tensor | None = None,
+    settings: Settings | None = None,
+) -> Tensor:
     """log(1 + σ/k) ``[B,1,X,Y,Z]`` for Φ of that shape on the network's device, in the type of Φ; differentiable.
 
-    coarse: of the same shape, for a network that asks for it.
+    coarse, settings: see :class:`StressNetwork`; the former of the shape of Φ.
     """
     with torch.autocast(phi.device.type, torch.bfloat16, enabled=bfloat16):
-        return network(phi, coarse).to(phi.dtype)
+        return network(phi, coarse, settings).to(phi.dtype)
 
 
 def stress(
@@ -44,16 +51,17 @@ def stress(
     bfloat16: bool,
     box: tuple[slice, slice, slice] | None = None,
     coarse: Tensor | None = None,
+    settings: Settings | None = None,
 ) -> Tensor:
     """Von Mises in MPa ``[1,n,n,n]`` for Φ of that shape; zero outside of the window, differentiable.
 
     box: the window; :func:`network.window` of Φ if not given. Hold on to one while a shape is being changed, as the
     field jumps a little where the window does.
-    coarse: ``[1,n,n,n]`` in MPa, for a network that asks for it.
+    coarse, settings: see :class:`StressNetwork`; the former ``[1,n,n,n]`` in MPa.
     """
     place = (slice(None), *(box or window(phi)))
     field = torch.zeros_like(phi)
     device = next(network.parameters()).device
     inner, known = (None if x is None else x[place][None].to(device) for x in (phi, coarse))
-    field[place] = to_stress(log_stress(network, inner, bfloat16, known))[0].clamp_min(0).to(phi.device)
+    field[place] = to_stress(log_stress(network, inner, bfloat16, known, settings))[0].clamp_min(0).to(phi.device)
     return field

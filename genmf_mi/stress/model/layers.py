@@ -59,9 +59,8 @@ class Physics(nn.Module):
     """What loads the body and what holds it, Φ ``[B,1,X,Y,Z]`` to ``[B,3,X/side,Y/side,Z/side]``.
 
     How far the body has cooled (:func:`genmf_mi.stress.model.cooling.cooled`), the profile of the soft clamp at the base
-    (:func:`genmf_mi.stress.fem.elasticity.clamp_profile`), and the height above the bed in the units of Φ. All for the
-    default protocol, a part of 100 mm and PLA, as in the data set. Base and top are those of the lowest and the highest
-    sample inside, without derivatives.
+    (:func:`genmf_mi.stress.fem.elasticity.clamp_profile`), and the height above the bed in the units of Φ. Base and top
+    are those of the lowest and the highest sample inside, without derivatives.
     """
 
     CHANNELS = 3
@@ -70,9 +69,8 @@ class Physics(nn.Module):
         super().__init__()
         self.cell, self.side = cell, side
 
-    def forward(self, phi: Tensor) -> Tensor:
-        """Φ float32; the sides are multiples of ``side``."""
-        settings = Settings()
+    def forward(self, phi: Tensor, settings: Settings) -> Tensor:
+        """Φ float32, its sides multiples of ``side``; ``settings``: size, material and protocol of the part."""
         with torch.autocast(phi.device.type, enabled=False):
             cell_mm = self.cell * settings.size_mm / (2 * HALF_EXTENT)
             cold = cooled(phi, self.cell, self.side, cell_mm, material(settings.material), settings.protocol)

@@ -25,6 +25,7 @@ from torch import Tensor, nn
 
 from genmf_mi.core.errors import ConfigError
 from genmf_mi.stress.fem.coarse import EDGE_MM
+from genmf_mi.stress.fem.simulation import Settings
 from genmf_mi.stress.model.layers import (
     GeometricGradient,
     GeometryFusion,
@@ -53,7 +54,7 @@ class Architecture:
     """Width and depth of the network.
 
     width: C, channels of the first level; level l has min(2ˡ, 8)·C.
-    side: samples along the side of the blocks that become channels; 1 for none.
+    block_size: samples along the side of the blocks that become channels; 1 for none.
     poolings: max-poolings, each of which halves the resolution.
     physics: give the network what loads the body and what holds it, beside what it looks like.
     coarse_mm: edge of the coarse mesh whose stress is given to the network, and added to; 0 for none.
@@ -64,22 +65,22 @@ class Architecture:
     """
 
     width: int
-    side: int = 1
+    block_size: int = 1
     poolings: int = 4
     physics: bool = False
     coarse_mm: float = 0.0
     grid: int = 129
 
     def __post_init__(self) -> None:
-        if min(self.width, self.side, self.poolings) < 1:
-            raise ConfigError(f"width, side and poolings of a network must be at least 1: {self}.")
+        if min(self.width, self.block_size, self.poolings) < 1:
+            raise ConfigError(f"width, block_size and poolings of a network must be at least 1: {self}.")
         if self.grid // self.least < 2:
             raise ConfigError(f"a grid of {self.grid} is too small for this network: {self}.")
 
     @property
     def least(self) -> int:
         """Samples that make one of the bottleneck, along an axis."""
-        return self.side * 2**self.poolings
+        return self.block_size * 2**self.poolings
 
     @property
     def channels(self) -> list[int]:
@@ -87,7 +88,7 @@ class Architecture:
         return [self.width * min(2**level, 8) for level in range(self.poolings + 1)]
 
 
-PRESETS = {"paper": Architecture(56), "compact": Architecture(24, side=2, physics=True, coarse_mm=EDGE_MM)}
+PRESETS = {"paper": Architecture(56), "compact": Architecture(24, block_size=2, physics=True, coarse_mm=EDGE_MM)}
 """``paper``: 46.7 M parameters, 3.4 TFLOP forward at 129³. ``compact``: 8.6 M, 92 GFLOP in the largest window and half
 of that in the usual one; 1.2 GB with the backward pass."""
 
@@ -95,28 +96,31 @@ of that in the usual one; 1.2 GB with the backward pass."""
 class StressNetwork(nn.Module):
     """Φ ``[B,1,X,Y,Z]`` in normalised units (negative inside, y up) to log(1 + σ/k) ``[B,1,X,Y,Z]``, k = 3 MPa.
 
-    ``coarse``, for an architecture that asks for it: von Mises on a coarse mesh in MPa, of the shape of Φ.
+    ``coarse``, for an architecture with ``coarse_mm``: von Mises on a coarse mesh in MPa, of the shape of Φ.
+    ``settings``, for an architecture with ``physics``: size, material and protocol of the part.
 
-    X, Y, Z may be odd; none may be below side · 2^poolings, and one must be twice that. The result means something
+    X, Y, Z may be odd; none may be below block_size · 2^poolings, and one must be twice that. The result means something
     where Φ ≤ 0. Φ is float32; under autocast the result has the lower precision.
     """
 
     def __init__(self, architecture: Architecture) -> None:
         super().__init__()
         self.architecture = architecture
-        side, channels = architecture.side, architecture.channels
+        block_size, channels = architecture.block_size, architecture.channels
         self.geometry = GeometricGradient(2.0 / (architecture.grid - 1))
-        self.physics = Physics(2.0 / (architecture.grid - 1), side) if architecture.physics else None
-        entering = (6 if architecture.coarse_mm else 5) * side**3 + (Physics.CHANNELS if architecture.physics else 0)
+        self.physics = Physics(2.0 / (architecture.grid - 1), block_size) if architecture.physics else None
+        entering = (6 if architecture.coarse_mm else 5) * block_size**3 + (
+            Physics.CHANNELS if architecture.physics else 0
+        )
         self.down = nn.ModuleList(map(Res3DBlock, [entering, *channels[:-1]], channels))
         self.recalibrate = SqueezeExcitation(channels[-1])
         self.up = nn.ModuleList(map(Up, channels[:0:-1], channels[-2::-1]))
-        self.fusion = GeometryFusion(channels[0], side)
+        self.fusion = GeometryFusion(channels[0], block_size)
         if architecture.coarse_mm:  # it starts as what it is to add to
             for parameter in self.fusion.out.parameters():
                 nn.init.zeros_(parameter)
 
-    def forward(self, phi: Tensor, coarse: Tensor | None = None) -> Tensor:
+    def forward(self, phi: Tensor, coarse: Tensor | None = None, settings: Settings | None = None) -> Tensor:
         """Raises :class:`ConfigError` for a field too small to be pooled, or without the coarse stress it asks for."""
         least = self.architecture.least
         if phi.dim() != 5 or phi.shape[1] != 1 or min(phi.shape[2:]) < least or max(phi.shape[2:]) < 2 * least:
@@ -125,18 +129,20 @@ class StressNetwork(nn.Module):
             )
         if bool(self.architecture.coarse_mm) != (coarse is not None):
             raise ConfigError("this network is given the stress on a coarse mesh, or is not, against its architecture.")
-        shape, side = phi.shape[2:], self.architecture.side
+        shape, block_size = phi.shape[2:], self.architecture.block_size
 
         def padded(field: Tensor) -> Tensor:
-            rest = [-n % side for n in shape]
+            rest = [-n % block_size for n in shape]
             return F.pad(field, (0, rest[2], 0, rest[1], 0, rest[0]), mode="replicate")
 
         features = self.geometry(padded(phi))
-        phi, blocks = features[:, :1], space_to_depth(features, side)
+        phi, blocks = features[:, :1], space_to_depth(features, block_size)
         if self.physics is not None:
-            blocks = torch.cat([blocks, self.physics(phi)], dim=1)
+            if settings is None:
+                raise ConfigError("this network is given the size, the material and the protocol of the part.")
+            blocks = torch.cat([blocks, self.physics(phi, settings)], dim=1)
         if coarse is not None:
-            blocks = torch.cat([blocks, space_to_depth(padded(to_target(coarse)), side)], dim=1)
+            blocks = torch.cat([blocks, space_to_depth(padded(to_target(coarse)), block_size)], dim=1)
         x = self.down[0](blocks)
         skips = []
         for block in self.down[1:]:

@@ -14,7 +14,8 @@ from genmf_mi.core.frame import Frame
 from genmf_mi.sdf import distance
 from genmf_mi.sdf.redistance import redistance
 from genmf_mi.stress.fem import tetrahedra
-from genmf_mi.stress.fem.coarse import coarse_stress
+from genmf_mi.stress.fem.coarse import EDGE_MM, coarse_stress
+from genmf_mi.stress.fem.materials import material
 from genmf_mi.stress.fem.simulation import Settings, frame_of
 from genmf_mi.stress.fem.statistics import SURFACE_BAND_MM
 from genmf_mi.stress.fem.tetrahedra import TetMesh
@@ -22,6 +23,8 @@ from genmf_mi.stress.model import compute, domain, weights
 
 PACKAGED = Path(__file__).with_name("compact.safetensors")
 PACKAGED_SHA256 = "d6245629f5b1e2f0a46d60bb7e360b30bf2bfa76f584af845bf59f302996c294"
+SIZE_TOLERANCE = 0.1
+"""Share by which a part may differ in size from those of the training. Heat and clamp scale with it, not only lengths."""
 THIN = 0.01
 """Part of the surface under which a body may be thinner than two cells without a warning."""
 
@@ -71,17 +74,27 @@ class Prediction:
 
 
 class Predictor:
-    """A trained network with what it was trained for.
+    """The stress of a part as finite elements on a coarse mesh and a trained network's correction give it.
+
+    The coarse field is computed for the settings of the part, whatever they are. The correction is that of the training
+    alone, so for a part of another size, material, protocol or grid it is left out, and ``note`` says so.
 
     Args:
         file: weights from a training; those of the package if not given.
         device: ``auto``, ``cpu`` or ``cuda``. precision: ``auto``, ``float32`` or ``bfloat16``.
+        settings: how the part is simulated; as in the training if not given. Their ``edge_mm`` is not used.
 
     Raises:
         WeightsError: missing, damaged, or not the published ones. ConfigError: no such device.
     """
 
-    def __init__(self, file: str | Path | None = None, device: str = "auto", precision: str = "auto") -> None:
+    def __init__(
+        self,
+        file: str | Path | None = None,
+        device: str = "auto",
+        precision: str = "auto",
+        settings: Settings | None = None,
+    ) -> None:
         if file is None:
             network, about = weights.load(PACKAGED, preset="compact", sha256=PACKAGED_SHA256)
         else:
@@ -90,24 +103,37 @@ class Predictor:
         self.network = network.to(self.device)
         self.bfloat16 = compute.bfloat16_on(self.device, precision)
         self.about = about
-        self.settings = weights.settings_of(about["simulation"])
+        trained = weights.settings_of(about["simulation"])
+        self.settings = settings or trained
+        self.note = untrained(self.settings, trained)
+
+    @property
+    def uses_network(self) -> bool:
+        """Whether the network's correction is added to the coarse field."""
+        return not self.note
 
     def coarse(self, phi: Tensor) -> Tensor | None:
-        """Von Mises on a coarse mesh in MPa ``[1,n,n,n]`` for Φ of that shape, differentiable; None if the network does
-        not ask for it.
+        """Von Mises on a coarse mesh in MPa ``[1,n,n,n]`` for Φ of that shape, differentiable; None if the network is
+        used and does not need it.
 
         Raises:
             SolveError: a solve did not converge.
         """
-        edge = self.network.architecture.coarse_mm
-        return coarse_stress(phi, self.settings, edge) if edge else None
+        edge_mm = self.network.architecture.coarse_mm
+        if self.uses_network and not edge_mm:
+            return None
+        return coarse_stress(phi, self.settings, edge_mm or EDGE_MM)
 
     def field(self, phi: Tensor, box: tuple[slice, slice, slice] | None = None, coarse: Tensor | None = None) -> Tensor:
         """Von Mises in MPa ``[1,n,n,n]`` for Φ of that shape; differentiable, see :func:`compute.stress`.
 
-        coarse: :meth:`coarse` of Φ, which is found if not given.
+        coarse: :meth:`coarse` of Φ, which is computed if not given.
         """
-        return compute.stress(self.network, phi, self.bfloat16, box, self.coarse(phi) if coarse is None else coarse)
+        coarse = self.coarse(phi) if coarse is None else coarse
+        if not self.uses_network:
+            assert coarse is not None
+            return coarse
+        return compute.stress(self.network, phi, self.bfloat16, box, coarse, self.settings)
 
     def predict(self, vertices: np.ndarray, faces: np.ndarray) -> Prediction:
         """The field of the solid that a surface encloses, as :func:`genmf_mi.stress.fem.simulation.simulate` would give it.
@@ -129,11 +155,33 @@ class Predictor:
         field = torch.from_numpy(redistance(phi))[None]
         with torch.no_grad():
             stress = self.field(field)
-        warnings = domain.outside(field, self.about["training"].get("domain", {}))
+        if self.uses_network:
+            warnings = domain.outside(field, self.about["training"].get("domain", {}))
+        else:
+            warnings = [self.note]
         if lost > THIN:
             warnings.append(f"it is thinner than two grid cells under {lost:.0%} of its surface")
         von_mises = torch.where(field <= 0, stress, 0.0)[0].numpy()
         return Prediction(self.settings, frame, phi, von_mises, lost, warnings)
+
+
+def untrained(settings: Settings, trained: Settings) -> str:
+    """Why a network that was trained for parts of ``trained`` does not know those of ``settings``; empty if it does.
+
+    ``edge_mm`` says how finely a field is computed and not of what, so it does not count.
+    """
+    different = []
+    if abs(settings.size_mm / trained.size_mm - 1) > SIZE_TOLERANCE:
+        different.append(f"parts of {trained.size_mm:g} mm (not {settings.size_mm:g} mm)")
+    if material(settings.material) != material(trained.material):
+        different.append(f"{trained.material} (not {settings.material})")
+    if settings.protocol != trained.protocol:
+        different.append("another protocol")
+    if settings.grid != trained.grid:
+        different.append(f"a grid of {trained.grid}³ samples (not {settings.grid}³)")
+    if not different:
+        return ""
+    return f"the network was trained for {', '.join(different)}: the stress is that of the coarse finite elements alone"
 
 
 def summary(prediction: Prediction) -> dict:

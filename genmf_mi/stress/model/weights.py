@@ -77,6 +77,7 @@ def load(
         raise WeightsError(f"{path} holds no stress network that this program knows; train one again.")
     if preset is not None and about["preset"] != preset:
         raise WeightsError(f"{path} holds the network {about['preset']!r}, not {preset!r}; give the other one.")
+    about = {**about, **{name: with_current_names(about[name]) for name in ("architecture", "simulation")}}
     if simulation is not None:
         check_simulation(path, about["simulation"], simulation)
     network = StressNetwork(Architecture(**about["architecture"]))
@@ -97,6 +98,19 @@ def check_simulation(path: str | Path, there: dict, wanted: dict) -> None:
         raise WeightsError(
             f"{path} is for another simulation ({', '.join(different)} differ); use weights trained for this one."
         )
+
+
+_RENAMED = {"film_w_m2k": "heat_transfer_coefficient_w_m2k", "side": "block_size"}
+"""Former names of a field of :class:`Protocol` and one of :class:`Architecture`. The weights of the package were
+published with them, and so were data sets; to write their headers anew would change their SHA-256."""
+
+
+def with_current_names(record: dict) -> dict:
+    """A record from a file, nested or not, with the names of this program for what had other names before."""
+    return {
+        _RENAMED.get(key, key): with_current_names(value) if isinstance(value, dict) else value
+        for key, value in record.items()
+    }
 
 
 def digest(path: str | Path) -> str:

@@ -8,14 +8,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from genmf_mi.core.frame import HALF_EXTENT
 from genmf_mi.stress.data.reader import StressSamples
+from genmf_mi.stress.fem.statistics import SURFACE_BAND_MM
 from genmf_mi.stress.model.network import to_target
 
 Predict = Callable[[Tensor], Tensor]
 """Φ ``[1,X,Y,Z]`` to von Mises in MPa, likewise."""
 TOP = 0.05
-BAND = 0.076
-"""Depth of the surface band in normalised units: 4 mm of a part of 100 mm."""
 
 
 def masked_mse(predicted: Tensor, target: Tensor, phi: Tensor, tail: float = 0.0) -> Tensor:
@@ -49,16 +49,21 @@ def _top(count: int) -> int:
     return max(1, round(TOP * count))
 
 
-def band_mean(stress: Tensor, phi: Tensor) -> float:
-    """Mean within 4 mm of the surface, in MPa."""
-    return float(stress[(phi <= 0) & (phi >= -BAND)].mean())
+def surface_band_depth(size_mm: float) -> float:
+    """Depth of the surface band, :data:`SURFACE_BAND_MM`, in normalised units of a part with this longest side."""
+    return SURFACE_BAND_MM * 2 * HALF_EXTENT / size_mm
+
+
+def band_mean(stress: Tensor, phi: Tensor, depth: float) -> float:
+    """Mean in MPa within ``depth`` of the surface, see :func:`surface_band_depth`."""
+    return float(stress[(phi <= 0) & (phi >= -depth)].mean())
 
 
 @torch.no_grad()
 def score(predict: Predict, samples: StressSamples, progress: Callable[[int], None] | None = None) -> list[dict]:
     """One row per sample: ``index, shape, family, relief``; ``loss``, :func:`masked_mse` of log(1 + σ/k); ``iou``; and
     ``mae, mean, band, true_band`` in MPa, the last two within 4 mm of the surface."""
-    rows = []
+    rows, depth = [], surface_band_depth(samples.simulation.size_mm)
     for item, record in enumerate(samples.records):
         phi, true = samples[item]
         predicted = predict(phi)
@@ -70,8 +75,8 @@ def score(predict: Predict, samples: StressSamples, progress: Callable[[int], No
                 "mae": mean_absolute_error(predicted, true, phi),
                 "iou": top_iou(predicted, true, phi),
                 "mean": float(true[phi <= 0].mean()),
-                "band": band_mean(predicted, phi),
-                "true_band": band_mean(true, phi),
+                "band": band_mean(predicted, phi, depth),
+                "true_band": band_mean(true, phi, depth),
             }
         )
         if progress is not None:

@@ -151,7 +151,7 @@ class _Training:
             phi, true, coarse = self.samples["train"].with_coarse(next(order))
             box = (None, slice(None), *window(phi))
             phi, true, coarse = (None if x is None else x[box].to(self.device) for x in (phi, true, coarse))
-            told = log_stress(self.net, phi, self.bfloat16, coarse)
+            told = log_stress(self.net, phi, self.bfloat16, coarse, self.samples["train"].simulation)
             loss = metrics.masked_mse(told, to_target(true), phi, self.config.tail)
             total += float(loss.detach())
             if coarse is not None:
@@ -175,7 +175,7 @@ class _Training:
         validation = self.samples["validation"]
         known = (validation.with_coarse(item)[2] for item in range(len(validation)))
         rows = metrics.score(
-            lambda phi: stress(self.net, phi, self.bfloat16, coarse=next(known)),
+            lambda phi: stress(self.net, phi, self.bfloat16, coarse=next(known), settings=validation.simulation),
             validation,
             lambda item: self.watcher.validating(item, len(validation)),
         )
