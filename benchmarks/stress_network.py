@@ -135,9 +135,9 @@ def scores(
     judged: dict[str, Predict] = {
         "constant": baselines.constant(training),
         "thickness and curvature": baselines.pointwise(training),
-        "coarse mesh alone": lambda phi: next(alone),
-        "network": lambda phi: predictor.field(phi, coarse=next(given)),
-        "labels": lambda phi: next(labels)[1],
+        "coarse mesh alone": lambda phi, _: next(alone),
+        "network": lambda phi, _: predictor.field(phi, coarse=next(given)),
+        "labels": lambda phi, _: next(labels)[1],
     }
     if solved[0] is None:
         del judged["coarse mesh alone"]

@@ -13,7 +13,11 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "2")
 os.environ.setdefault("MPLBACKEND", "Agg")
 
+import jaxtyping
 import pytest
+
+# Before genmf_mi is imported: the shapes in its annotations are checked at every call
+jaxtyping.install_import_hook(["genmf_mi.stress.model"], "beartype.beartype")
 
 
 @pytest.fixture(scope="session")

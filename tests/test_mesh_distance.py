@@ -12,7 +12,7 @@ from genmf_mi.geometry.mesh_distance import SPARE_CELLS, MeshDistance, closest_w
 from genmf_mi.sdf.distance import signed_distance
 from genmf_mi.sdf.redistance import REACH_CELLS
 from genmf_mi.stress.model import compute
-from genmf_mi.stress.model.network import Architecture, StressNetwork, window
+from genmf_mi.stress.model.network import Architecture, StressNetwork, crop_box
 
 N = 33
 CELL = 2 / (N - 1)
@@ -134,7 +134,7 @@ def test_gradient_of_mean_and_variance_of_the_stress() -> None:
     distance = MeshDistance(mesh.faces, N, every=1000)
     with torch.no_grad():
         phi = distance(vertices)
-        inside, box = phi <= 0, window(phi)
+        inside, box = phi <= 0, crop_box(phi)
 
     def moments(place: torch.Tensor) -> torch.Tensor:
         field = compute.stress(net, distance(place), bfloat16=False, box=box)[inside]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from test_stress_training import N, ball, write_samples
+from stress_samples import N, ball, write_samples
 
 from genmf_mi.core.errors import ConfigError
 from genmf_mi.core.frame import Frame

@@ -21,22 +21,18 @@ def stages() -> Iterator:
 
 @contextmanager
 def training(config: TrainConfig) -> Iterator:
-    """A progress bar with loss, last validation and time left; yields a :class:`genmf_mi.stress.training.training.Watcher`."""
+    """A progress bar with loss, last validation and time left; yields a :class:`genmf_mi.core.progress.Progress`."""
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-    from genmf_mi.stress.training.training import Watcher
+    from genmf_mi.core.progress import Progress as Protocol
 
-    class Bar(Watcher):
-        found = ""
-
-        def step(self, step: int, done: float, loss: float) -> None:
-            bar.update(task, description=f"step {step}  loss {loss:.5f}{self.found}", completed=done)
-
-        def validating(self, item: int, count: int) -> None:
-            bar.update(task, description=f"validating {item} of {count}")
-
-        def validated(self, step: int, line: dict) -> None:
-            self.found = f"  validation {line['validation_mae']:.4f} MPa, IoU {line['validation_iou']:.3f}"
+    class Bar(Protocol):
+        def advance(self, done, total, values=None) -> None:
+            if values is None:
+                bar.update(task, description=f"validating {done} of {total}")
+            else:
+                text = "  ".join(f"{name} {value:.5f}" for name, value in values.items())
+                bar.update(task, description=f"step {done}  {text}", completed=done / total)
 
     columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), TaskProgressColumn(), TimeRemainingColumn())
     with Progress(*columns, transient=True) as bar:

@@ -146,27 +146,27 @@ def dataset(
     """
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+    from genmf_mi.core import progress
     from genmf_mi.core.errors import ConfigError
-    from genmf_mi.stress.data.dataset import DatasetSettings, build, chosen, meshes_in, read_index
+    from genmf_mi.stress.data.dataset import DatasetSettings, build, meshes_in
     from genmf_mi.stress.fem.simulation import Settings
 
     pairs = dict(pair.split("=", 1) for pair in same if "=" in pair)
     if len(pairs) != len(same):
         raise ConfigError("--same takes pairs such as spot=spotcow.")
     settings = DatasetSettings(Settings(edge_mm=edge_mm, grid=grid), seed, meshes_in(list(meshes)), pairs)
-    columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.fields[last]}"))
-    with Progress(TextColumn("samples"), *columns) as bar:
-        wanted = set(chosen(count, settings, split))
-        task = bar.add_task("", total=len(wanted), last="")
+    with Progress(TextColumn("samples"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()) as bar:
+        task = bar.add_task("", total=None)
 
-        def show(record: dict) -> None:
-            if "error" in record:
-                bar.console.print(f"sample {record['index']} failed: {record['error']}")
-            bar.update(task, advance=1, last=record.get("shape", ""))
+        class Bar(progress.Progress):
+            def advance(self, done, total, values=None) -> None:
+                bar.update(task, completed=done, total=total)
 
-        bar.update(task, completed=sum(r["index"] in wanted for r in read_index(out)))
-        tally = build(out, count, settings, workers, retry_failed, show, split)
-    print(f"{out}: {tally.finished} samples, {tally.failed} failed; {tally.made} new.")
+            def warn(self, message: str) -> None:
+                bar.console.print(message)
+
+        tally = build(out, count, settings, workers, retry_failed, Bar(), split)
+    print(f"{out}: {tally.finished} samples, {tally.failed} failed; {tally.added} new.")
 
 
 def train(
@@ -191,17 +191,17 @@ def train(
     """
     import torch
 
-    from genmf_mi.stress.training import training
+    from genmf_mi.stress.training import trainer
 
     if threads:
         torch.set_num_threads(threads)
     cache = cache or data.with_name(f"{data.name}-decoded")
-    with bars.training(config) as watcher:
-        result = training.train(data, out, config, cache=cache, resume=resume, force=force, watcher=watcher)
+    with bars.training(config) as progress:
+        result = trainer.train(data, out, config, cache=cache, resume=resume, force=force, progress=progress)
     scores = result["validation"]["all"]
     print(
         f"{result['steps_made']} steps; validation: {scores['mae']:.4f} MPa mean error at a mean of "
-        f"{scores['mean']:.3f} MPa, top 5 % IoU {scores['iou']:.3f}; weights in {out / training.WEIGHTS}"
+        f"{scores['mean']:.3f} MPa, top 5 % IoU {scores['iou']:.3f}; weights in {out / trainer.WEIGHTS}"
     )
 
 

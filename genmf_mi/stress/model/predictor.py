@@ -1,4 +1,6 @@
-"""Thermal stress by the trained network: from a mesh or Φ to the field in one call."""
+"""Thermal stress in seconds: coarse finite elements and the correction of a trained network."""
+
+# ruff: noqa: F722  (jaxtyping writes shapes as strings)
 
 from __future__ import annotations
 
@@ -8,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from genmf_mi.core.frame import Frame
@@ -20,13 +23,14 @@ from genmf_mi.stress.fem.simulation import Settings, frame_of
 from genmf_mi.stress.fem.statistics import SURFACE_BAND_MM
 from genmf_mi.stress.fem.tetrahedra import TetMesh
 from genmf_mi.stress.model import compute, domain, weights
+from genmf_mi.stress.model.network import Box
 
 PACKAGED = Path(__file__).with_name("compact.safetensors")
 PACKAGED_SHA256 = "d6245629f5b1e2f0a46d60bb7e360b30bf2bfa76f584af845bf59f302996c294"
 SIZE_TOLERANCE = 0.1
-"""Share by which a part may differ in size from those of the training. Heat and clamp scale with it, not only lengths."""
-THIN = 0.01
-"""Part of the surface under which a body may be thinner than two cells without a warning."""
+"""Share by which the size of a part may differ from that in training: the time to cool goes with its square."""
+THIN_WITHOUT_WARNING = 0.01
+"""Share of the surface under which a body may be thinner than two cells without a warning."""
 
 
 @dataclass(frozen=True)
@@ -39,21 +43,24 @@ class NodalField:
 
 @dataclass(frozen=True)
 class Prediction:
-    """The predicted field of one shape; a :class:`genmf_mi.stress.fem.simulation.Simulation` to those that write or draw it.
+    """The predicted field of one shape.
 
-    phi, von_mises: float32 ``[n,n,n]``, the latter in MPa and zero outside. lost: see
-    :func:`distance.lost_fraction`. warnings: why not to trust it, a sentence each.
+    What writes or draws a :class:`genmf_mi.stress.fem.simulation.Simulation` takes it too.
+
+    phi, von_mises: float32 ``[n,n,n]``, the latter in MPa and zero outside.
+    thin_fraction: of the surface, under which the body is too thin for the grid (:func:`distance.lost_fraction`).
+    warnings: why not to trust it, a sentence each.
     """
 
     settings: Settings
     frame: Frame
     phi: np.ndarray
     von_mises: np.ndarray
-    lost: float
+    thin_fraction: float
     warnings: list[str]
 
     def on_grid(self) -> tuple[np.ndarray, int]:
-        """The field, and how many samples were filled in: none."""
+        """The field, and how many samples took the value of a neighbour: none."""
         return self.von_mises, 0
 
     @cached_property
@@ -65,24 +72,30 @@ class Prediction:
 
     @cached_property
     def field(self) -> NodalField:
+        """The field at the nodes of :attr:`mesh`."""
         from scipy.ndimage import distance_transform_edt
 
         # Nodes lie on the surface, where half of the samples about are outside
-        nearest = distance_transform_edt(self.phi > 0, return_distances=False, return_indices=True)
+        nearest = np.asarray(distance_transform_edt(self.phi > 0, return_distances=False, return_indices=True))
         value = distance.sample(self.von_mises[tuple(nearest)], self.mesh.points)
         return NodalField(self.mesh.moved(self.frame.to_print(self.mesh.points)), value)
 
 
 class Predictor:
-    """The stress of a part as finite elements on a coarse mesh and a trained network's correction give it.
+    """Predicts the stress of parts: the field of a coarse finite-element mesh, and a trained network's correction.
 
-    The coarse field is computed for the settings of the part, whatever they are. The correction is that of the training
-    alone, so for a part of another size, material, protocol or grid it is left out, and ``note`` says so.
+    The coarse field is computed for the settings of the part, whatever they are. The correction holds for those of the
+    training only: for a part of another size, material, protocol or grid it is left out, and ``note`` says so.
 
     Args:
         file: weights from a training; those of the package if not given.
         device: ``auto``, ``cpu`` or ``cuda``. precision: ``auto``, ``float32`` or ``bfloat16``.
-        settings: how the part is simulated; as in the training if not given. Their ``edge_mm`` is not used.
+        settings: how the part is simulated; as in training if not given. Their ``edge_mm`` is not used.
+
+    Attributes:
+        settings: those of the part.
+        note: why the network is not used, a sentence; empty if it is.
+        about: the header of the weights, see :func:`weights.load`.
 
     Raises:
         WeightsError: missing, damaged, or not the published ones. ConfigError: no such device.
@@ -112,63 +125,76 @@ class Predictor:
         """Whether the network's correction is added to the coarse field."""
         return not self.note
 
-    def coarse(self, phi: Tensor) -> Tensor | None:
-        """Von Mises on a coarse mesh in MPa ``[1,n,n,n]`` for Φ of that shape, differentiable; None if the network is
-        used and does not need it.
+    def coarse(self, phi: Float[Tensor, "1 n n n"]) -> Float[Tensor, "1 n n n"] | None:
+        """Von Mises on a coarse mesh in MPa, differentiable; None if the network is used and does not need it.
 
         Raises:
             SolveError: a solve did not converge.
         """
-        edge_mm = self.network.architecture.coarse_mm
-        if self.uses_network and not edge_mm:
+        if self.uses_network and not self.network.architecture.coarse_mm:
             return None
-        return coarse_stress(phi, self.settings, edge_mm or EDGE_MM)
+        return self._solved(phi)
 
-    def field(self, phi: Tensor, box: tuple[slice, slice, slice] | None = None, coarse: Tensor | None = None) -> Tensor:
-        """Von Mises in MPa ``[1,n,n,n]`` for Φ of that shape; differentiable, see :func:`compute.stress`.
+    def _solved(self, phi: Tensor) -> Tensor:
+        return coarse_stress(phi, self.settings, self.network.architecture.coarse_mm or EDGE_MM)
 
-        coarse: :meth:`coarse` of Φ, which is computed if not given.
+    def field(
+        self,
+        phi: Float[Tensor, "1 n n n"],
+        box: Box | None = None,
+        coarse: Float[Tensor, "1 n n n"] | None = None,
+    ) -> Float[Tensor, "1 n n n"]:
+        """Von Mises in MPa; differentiable.
+
+        Args:
+            box: crop of the network, see :func:`compute.stress`.
+            coarse: :meth:`coarse` of Φ, which is computed if not given.
+
+        Raises:
+            SolveError: a solve did not converge.
         """
-        coarse = self.coarse(phi) if coarse is None else coarse
         if not self.uses_network:
-            assert coarse is not None
-            return coarse
+            return self._solved(phi) if coarse is None else coarse
+        coarse = self.coarse(phi) if coarse is None else coarse
         return compute.stress(self.network, phi, self.bfloat16, box, coarse, self.settings)
 
     def predict(self, vertices: np.ndarray, faces: np.ndarray) -> Prediction:
-        """The field of the solid that a surface encloses, as :func:`genmf_mi.stress.fem.simulation.simulate` would give it.
+        """The field of the solid that a surface encloses, in place of :func:`genmf_mi.stress.fem.simulation.simulate`.
 
         Args:
             vertices: ``[V,3]``, file frame, y up; the longest side counts as ``settings.size_mm``.
             faces: ``[F,3]``.
 
         Raises:
-            SolidError: nothing enclosed, or not numbers.
+            SolidError: nothing enclosed, or not numbers. SolveError: a solve did not converge.
         """
         frame = frame_of(np.asarray(vertices, dtype=np.float64), self.settings.size_mm)
-        inside = frame.normalise(vertices)
-        phi = distance.signed_distance(inside, faces, self.settings.grid)
-        return self.predict_distance(phi, frame, distance.lost_fraction(inside, faces, phi))
+        normalised = frame.normalise(vertices)
+        phi = distance.signed_distance(normalised, faces, self.settings.grid)
+        return self.predict_distance(phi, frame, distance.lost_fraction(normalised, faces, phi))
 
-    def predict_distance(self, phi: np.ndarray, frame: Frame, lost: float = 0.0) -> Prediction:
-        """The field of the body Φ < 0, ``phi [n,n,n]``; ``lost`` as by :func:`distance.lost_fraction`."""
-        field = torch.from_numpy(redistance(phi))[None]
+    def predict_distance(self, phi: np.ndarray, frame: Frame, thin_fraction: float = 0.0) -> Prediction:
+        """The field of the body Φ < 0, ``phi [n,n,n]``; thin_fraction: see :class:`Prediction`.
+
+        Raises:
+            SolveError: a solve did not converge.
+        """
+        distances = torch.from_numpy(redistance(phi))[None]
         with torch.no_grad():
-            stress = self.field(field)
+            stress = self.field(distances)
+        warnings = [self.note]
         if self.uses_network:
-            warnings = domain.outside(field, self.about["training"].get("domain", {}))
-        else:
-            warnings = [self.note]
-        if lost > THIN:
-            warnings.append(f"it is thinner than two grid cells under {lost:.0%} of its surface")
-        von_mises = torch.where(field <= 0, stress, 0.0)[0].numpy()
-        return Prediction(self.settings, frame, phi, von_mises, lost, warnings)
+            warnings = domain.out_of_distribution(distances, self.about["training"].get("domain", {}))
+        if thin_fraction > THIN_WITHOUT_WARNING:
+            warnings.append(f"it is thinner than two grid cells under {thin_fraction:.0%} of its surface")
+        von_mises = torch.where(distances <= 0, stress, 0.0)[0].numpy()
+        return Prediction(self.settings, frame, phi, von_mises, thin_fraction, warnings)
 
 
 def untrained(settings: Settings, trained: Settings) -> str:
-    """Why a network that was trained for parts of ``trained`` does not know those of ``settings``; empty if it does.
+    """Why a network that was trained with the settings ``trained`` does not hold for ``settings``; empty if it does.
 
-    ``edge_mm`` says how finely a field is computed and not of what, so it does not count.
+    ``edge_mm`` is how finely a field is computed and not of what part, so it does not count.
     """
     different = []
     if abs(settings.size_mm / trained.size_mm - 1) > SIZE_TOLERANCE:
@@ -185,7 +211,7 @@ def untrained(settings: Settings, trained: Settings) -> str:
 
 
 def summary(prediction: Prediction) -> dict:
-    """As :func:`genmf_mi.stress.fem.statistics.summary`, as far as it is known; samples of the grid count alike."""
+    """The part of :func:`genmf_mi.stress.fem.statistics.summary` that a prediction has; all samples count alike."""
     inside = prediction.phi <= 0
     value, mm = prediction.von_mises[inside], prediction.frame.mm_per_unit
     near = value[-prediction.phi[inside] * mm <= SURFACE_BAND_MM]
@@ -206,7 +232,7 @@ def summary(prediction: Prediction) -> dict:
             "p99_9": float(np.percentile(near, 99.9)),
             "volume_fraction": len(near) / len(value),
         },
-        "mesh": {"volume_mm3": len(value) * cell**3, "thin_fraction": prediction.lost},
+        "mesh": {"volume_mm3": len(value) * cell**3, "thin_fraction": prediction.thin_fraction},
         "warnings": prediction.warnings,
         "settings": asdict(prediction.settings),
     }
