@@ -201,7 +201,8 @@ def _work(pipe: Connection, out: Path, settings: DatasetSettings) -> None:
         try:
             layers, record = make_sample(index, settings)
             with atomic(out / "samples" / f"{index:06d}.npz") as temporary:
-                np.savez_compressed(temporary, meta=np.array(json.dumps(record)), **layers)
+                arrays = {"meta": np.array(json.dumps(record)), **layers}
+                np.savez_compressed(temporary, **arrays)  # pyright: ignore[reportArgumentType]  (allow_pickle is no array)
             pipe.send(record)
         except OutputError as error:
             pipe.send(error)

@@ -122,22 +122,24 @@ class StressSamples(Dataset):
             raise ConfigError(f"{path} cannot be read ({error}); make the data set again or restore it.") from error
 
     def __getitem__(self, item: int) -> tuple[torch.Tensor, torch.Tensor]:
-        return self._tensors(self.arrays(item))
+        phi, stress = self._tensors(*self.arrays(item))
+        return phi, stress
 
     def with_coarse(self, item: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
         """Φ, von Mises, and :meth:`coarse`, None without ``coarse_mm``."""
         if not self.coarse_mm:
             return *self[item], None
-        return self._tensors((*self.arrays(item), self.coarse(item)))
+        phi, stress, coarse = self._tensors(*self.arrays(item), self.coarse(item))
+        return phi, stress, coarse
 
-    def _tensors(self, fields: tuple[np.ndarray, ...]) -> tuple[torch.Tensor, ...]:
+    def _tensors(self, *fields: np.ndarray) -> list[torch.Tensor]:
         """Strided, in one and the same symmetry, as float32 ``[1,n,n,n]``."""
         symmetry = int(torch.randint(SYMMETRIES, ())) if self.augment else 0
         step = self.stride
-        return tuple(
+        return [
             torch.from_numpy(apply_symmetry(field[::step, ::step, ::step], symmetry).astype(np.float32))[None]
             for field in fields
-        )
+        ]
 
 
 def read_settings(folder: Path) -> dict:

@@ -76,7 +76,8 @@ def surface_of(what: Recipe, seed: int, size_mm: float, n: int) -> tuple[np.ndar
         SolidError: no acceptable shape came out. AssetError: the file cannot be read.
     """
     rng = np.random.default_rng([seed, what.index // 2, 2])
-    angle, scale = rng.uniform(0, 2 * np.pi), np.exp(rng.uniform(*np.log(SCALE), 3))
+    smallest, largest = np.log(SCALE)
+    angle, scale = rng.uniform(0, 2 * np.pi), np.exp(rng.uniform(smallest, largest, 3))
     if what.path is None:
         phi = _procedural(what.family, rng, angle, scale, n)
     else:
