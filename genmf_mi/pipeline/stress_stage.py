@@ -13,7 +13,7 @@ from genmf_mi.geometry.uniform_adam import UniformAdam, percentile
 from genmf_mi.pipeline.problem import RefinementProblem
 from genmf_mi.sdf import distance
 from genmf_mi.stress.fem.simulation import Settings
-from genmf_mi.stress.fem.statistics import SURFACE_BAND_MM
+from genmf_mi.stress.fem.statistics import surface_band_depth
 from genmf_mi.stress.model import predictor
 from genmf_mi.stress.penalty import StressPenalty
 
@@ -51,7 +51,7 @@ class StressStage:
             parameterization.distance(predict.settings.grid),
             parameterization.initial_shape,
             every=self._config.stress_every,
-            band=SURFACE_BAND_MM / self._problem.frame.mm_per_unit,
+            band=surface_band_depth(self._config.size_mm),
             weights=self._config.weights,
         )
 

@@ -15,7 +15,7 @@ from torch import Tensor
 from genmf_mi.core.config import Weights
 from genmf_mi.losses import stress as losses
 from genmf_mi.losses.objective import weighted_sum
-from genmf_mi.stress.model.network import window
+from genmf_mi.stress.model.network import crop_box
 from genmf_mi.stress.model.predictor import Predictor
 
 TERMS = ("stress_mean", "stress_variance", "stress_band", "stress_peak")
@@ -51,7 +51,7 @@ class StressPenalty:
         with torch.no_grad():
             phi = distance(initial)
             # One crop for all evaluations, as the field of a network changes a little with it
-            self._crop = window(phi)
+            self._crop = crop_box(phi)
             self._initial = self._measures(phi)
         self._calls = 0
         self._tangent: dict[str, Tensor] = {}

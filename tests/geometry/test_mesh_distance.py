@@ -12,7 +12,7 @@ from genmf_mi.geometry.mesh_distance import SPARE_CELLS, MeshDistance, closest_w
 from genmf_mi.sdf.distance import signed_distance
 from genmf_mi.sdf.redistance import REACH_CELLS
 from genmf_mi.stress.model import compute
-from genmf_mi.stress.model.network import Architecture, StressNetwork, window
+from genmf_mi.stress.model.network import Architecture, StressNetwork, crop_box
 
 N = 33
 CELL = 2 / (N - 1)
@@ -128,13 +128,13 @@ def test_samples_on_the_surface() -> None:
 def test_gradient_of_mean_and_variance_of_the_stress() -> None:
     """∂E(σ̂)/∂vertices and ∂Var(σ̂)/∂vertices through Φ and a network, within 2 % of central differences."""
     torch.manual_seed(0)
-    net = StressNetwork(Architecture(4, side=2, poolings=2, grid=N)).double()
+    net = StressNetwork(Architecture(4, block_size=2, poolings=2, grid=N)).double()
     mesh = body()
     vertices = tensor(mesh.vertices, requires_grad=True)
     distance = MeshDistance(mesh.faces, N, every=1000)
     with torch.no_grad():
         phi = distance(vertices)
-        inside, box = phi <= 0, window(phi)
+        inside, box = phi <= 0, crop_box(phi)
 
     def moments(place: torch.Tensor) -> torch.Tensor:
         field = compute.stress(net, distance(place), bfloat16=False, box=box)[inside]

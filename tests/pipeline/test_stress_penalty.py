@@ -15,7 +15,7 @@ from genmf_mi.geometry.mesh_distance import MeshDistance
 from genmf_mi.losses import stress as losses
 from genmf_mi.sdf.distance import signed_distance
 from genmf_mi.stress.model import compute
-from genmf_mi.stress.model.network import Architecture, StressNetwork, window
+from genmf_mi.stress.model.network import Architecture, StressNetwork, crop_box
 from genmf_mi.stress.penalty import TERMS, StressPenalty
 
 N = 33
@@ -40,7 +40,7 @@ class Tiny:
 
     def __init__(self) -> None:
         torch.manual_seed(0)
-        self.network = StressNetwork(Architecture(4, side=2, poolings=2, grid=N)).double()
+        self.network = StressNetwork(Architecture(4, block_size=2, poolings=2, grid=N)).double()
         torch.nn.init.constant_(self.network.fusion.out.bias, 0.2)
         self.network.requires_grad_(False)
         self.boxes = []
@@ -128,7 +128,7 @@ def test_gradients_against_differences(tiny) -> None:
     vertices = tensor(mesh.vertices, requires_grad=True)
     distance = MeshDistance(mesh.faces, N, every=1000)
     with torch.no_grad():
-        box = window(distance(vertices))
+        box = crop_box(distance(vertices))
 
     def measures(place: torch.Tensor) -> torch.Tensor:
         phi = distance(place)

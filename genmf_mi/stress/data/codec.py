@@ -16,7 +16,7 @@ FAR_STEP = 2.0**-6
 NEAR_STEP = 2.0**-10
 """Φ near the surface is kept to half of this: 1/32 of a cell, 0.026 mm."""
 BAND_CELLS = 2.5
-STRESS_SCALE_MPA = 0.5
+CODEC_SCALE_MPA = 0.5
 """k: below it the steps are even in σ, above it in log σ."""
 STRESS_STEP = 1 / 96
 
@@ -44,7 +44,7 @@ def unpack_distance(layers: dict[str, np.ndarray], n: int) -> np.ndarray:
 def pack_stress(field: np.ndarray, phi: np.ndarray) -> dict[str, np.ndarray]:
     """Von Mises in MPa ``[n,n,n]``, kept where ``phi`` ≤ 0, which must come from :func:`unpack_distance`."""
     inside = phi <= 0
-    level = np.rint(np.log1p(np.where(inside, field, 0) / STRESS_SCALE_MPA) / STRESS_STEP).astype(np.int16)
+    level = np.rint(np.log1p(np.where(inside, field, 0) / CODEC_SCALE_MPA) / STRESS_STEP).astype(np.int16)
     return {"von_mises": np.frombuffer(_planes(_differences(level)[_reach(inside)]), dtype=np.uint8)}
 
 
@@ -53,7 +53,7 @@ def unpack_stress(layers: dict[str, np.ndarray], phi: np.ndarray) -> np.ndarray:
     inside = phi <= 0
     level = np.zeros(phi.shape, dtype=np.int16)
     level[_reach(inside)] = layers["von_mises"].reshape(2, -1).T.copy().view(np.int16)[:, 0]
-    field = STRESS_SCALE_MPA * np.expm1(_sums(level) * np.float32(STRESS_STEP))
+    field = CODEC_SCALE_MPA * np.expm1(_sums(level) * np.float32(STRESS_STEP))
     return np.where(inside, field, 0).astype(np.float16)
 
 

@@ -12,28 +12,31 @@ import hashlib
 import json
 import multiprocessing
 import os
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
-from multiprocessing.connection import wait
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
 from genmf_mi.core.errors import ConfigError, GenmfError, OutputError
 from genmf_mi.core.files import atomic, write_text
+from genmf_mi.core.progress import Progress
 from genmf_mi.core.timer import Timer
 from genmf_mi.stress.fem.simulation import Settings
 
 MESHES = (".ply", ".glb", ".gltf", ".obj", ".stl", ".off", ".3mf")
 FORMAT = 2
-"""Raised when samples of an older program would not fit those of a newer one."""
+"""Version of the samples: one more when those of an older program would not fit those of a newer one."""
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
 @dataclass(frozen=True)
 class DatasetSettings:
-    """What all samples of a folder share.
+    """What all samples of a folder have in common.
 
     sources: mesh files by name. same: names of files that show another file's shape, to the name of that one, so that
     both stay on one side of the split.
@@ -51,7 +54,7 @@ class DatasetSettings:
             raise ConfigError(f"seed must not be negative: {self.seed}.")
 
     def record(self) -> dict:
-        """What is compared before samples are added to a folder. Files count by content, not by place."""
+        """What is compared before samples are added to a folder. Files count by content, not by their path."""
         digests = {n: hashlib.sha256(Path(p).read_bytes()).hexdigest()[:16] for n, p in sorted(self.sources.items())}
         return {
             "format": FORMAT,
@@ -64,26 +67,26 @@ class DatasetSettings:
 
 @dataclass(frozen=True)
 class Tally:
-    """finished and failed: samples in the folder. made: of these, how many this run added."""
+    """finished and failed: samples in the folder. added: of these, how many are new."""
 
     finished: int
     failed: int
-    made: int
+    added: int
 
 
 def meshes_in(folders: list[Path]) -> dict[str, Path]:
     """Mesh files of ``folders`` by name. Raises :class:`ConfigError` for a missing folder or two files of one name."""
-    found: dict[str, Path] = {}
+    meshes: dict[str, Path] = {}
     for folder in folders:
         if not folder.is_dir():
             raise ConfigError(f"{folder} is not a folder; give folders that hold mesh files.")
         for path in sorted(folder.iterdir()):
             if path.suffix.lower() not in MESHES:
                 continue
-            if path.stem in found:
-                raise ConfigError(f"{path} and {found[path.stem]} have the same name; rename one of them.")
-            found[path.stem] = path.resolve()
-    return found
+            if path.stem in meshes:
+                raise ConfigError(f"{path} and {meshes[path.stem]} have the same name; rename one of them.")
+            meshes[path.stem] = path.resolve()
+    return meshes
 
 
 def read_index(folder: Path) -> list[dict]:
@@ -103,10 +106,10 @@ def read_index(folder: Path) -> list[dict]:
 
 def chosen(count: int, settings: DatasetSettings, splits: Collection[str] = ()) -> list[int]:
     """Those of the samples 0 … count-1 that belong to ``splits``; all of them if none are named."""
-    from genmf_mi.stress.data.recipe import recipe
+    from genmf_mi.stress.data.recipe import recipe_of
 
-    kind = (settings.seed, settings.sources, settings.same)
-    return [index for index in range(count) if not splits or recipe(index, *kind).split in splits]
+    common = (settings.seed, settings.sources, settings.same)
+    return [index for index in range(count) if not splits or recipe_of(index, *common).split in splits]
 
 
 def build(
@@ -115,12 +118,15 @@ def build(
     settings: DatasetSettings,
     workers: int = 1,
     retry_failed: bool = False,
-    progress: Callable[[dict], None] | None = None,
+    progress: Progress | None = None,
     splits: Collection[str] = (),
 ) -> Tally:
     """Make those of the samples 0 … count-1 that ``out`` does not hold yet and that are :func:`chosen`.
 
-    ``progress`` is called with each new record of the index.
+    Args:
+        workers: processes, of one thread each.
+        retry_failed: try failed samples again.
+        progress: samples of those chosen that are finished or have failed; a warning for each that fails.
 
     Raises:
         ConfigError: the folder holds samples of other settings, or another process is adding to it.
@@ -128,27 +134,30 @@ def build(
     """
     if count < 1 or workers < 1:
         raise ConfigError(f"count and workers must be at least 1, not {count} and {workers}.")
-    with _claimed(out):
-        _same_settings(out, settings)
+    progress = progress or Progress()
+    with _locked(out):
+        _check_settings(out, settings)
         records = [r for r in read_index(out) if not (retry_failed and "error" in r)]
         write_text(out / "index.jsonl", "".join(json.dumps(r) + "\n" for r in records))
-        have = {r["index"] for r in records}
-        wanted = iter([i for i in chosen(count, settings, splits) if i not in have])
-        made = 0
+        existing = {r["index"] for r in records}
+        wanted = chosen(count, settings, splits)
+        missing = [index for index in wanted if index not in existing]
+        progress.stage("simulating samples")
+        progress.advance(len(wanted) - len(missing), len(wanted))
         with (out / "index.jsonl").open("a", encoding="utf-8") as index:
-            for record in _run(wanted, out, settings, workers):
+            for added, record in enumerate(_run(iter(missing), out, settings, workers), start=1):
                 index.write(json.dumps(record) + "\n")
                 index.flush()
                 os.fsync(index.fileno())
                 records.append(record)
-                made += 1
-                if progress is not None:
-                    progress(record)
+                if "error" in record:
+                    progress.warn(f"sample {record['index']} failed: {record['error']}")
+                progress.advance(len(wanted) - len(missing) + added, len(wanted))
     failed = sum("error" in r for r in records)
-    return Tally(len(records) - failed, failed, made)
+    return Tally(len(records) - failed, failed, len(missing))
 
 
-def make(index: int, settings: DatasetSettings) -> tuple[dict[str, np.ndarray], dict]:
+def make_sample(index: int, settings: DatasetSettings) -> tuple[dict[str, np.ndarray], dict]:
     """The arrays and the record of one sample. Raises what a simulation raises."""
     from genmf_mi.sdf import distance
     from genmf_mi.stress.data import codec, recipe
@@ -156,7 +165,7 @@ def make(index: int, settings: DatasetSettings) -> tuple[dict[str, np.ndarray], 
     from genmf_mi.stress.fem import statistics
 
     simulation = settings.simulation
-    what = recipe.recipe(index, settings.seed, settings.sources, settings.same)
+    what = recipe.recipe_of(index, settings.seed, settings.sources, settings.same)
     timer = Timer()
     vertices, faces = recipe.surface_of(what, settings.seed, simulation.size_mm, simulation.grid)
     timer.lap("shape")
@@ -187,13 +196,14 @@ def make(index: int, settings: DatasetSettings) -> tuple[dict[str, np.ndarray], 
     return layers, record
 
 
-def _work(pipe, out: Path, settings: DatasetSettings) -> None:
+def _work(pipe: Connection, out: Path, settings: DatasetSettings) -> None:
     """A worker: takes an index, answers with a record, until it is given None."""
     while (index := pipe.recv()) is not None:
         try:
-            layers, record = make(index, settings)
+            layers, record = make_sample(index, settings)
             with atomic(out / "samples" / f"{index:06d}.npz") as temporary:
-                np.savez_compressed(temporary, meta=np.array(json.dumps(record)), **layers)
+                arrays = {"meta": np.array(json.dumps(record)), **layers}
+                np.savez_compressed(temporary, **arrays)  # pyright: ignore[reportArgumentType]  (allow_pickle is no array)
             pipe.send(record)
         except OutputError as error:
             pipe.send(error)
@@ -207,24 +217,24 @@ def _run(wanted: Iterator[int], out: Path, settings: DatasetSettings, workers: i
     for name in _THREADS:
         os.environ[name] = "1"
     context = multiprocessing.get_context("spawn")
-    busy: dict = {}
+    busy: dict[Connection, tuple[SpawnProcess, int]] = {}
 
     def start() -> None:
         index = next(wanted, None)
         if index is None:
             return
-        ours, theirs = context.Pipe()
-        process = context.Process(target=_work, args=(theirs, out, settings), daemon=True)
+        near, far = context.Pipe()
+        process = context.Process(target=_work, args=(far, out, settings), daemon=True)
         process.start()
-        theirs.close()
-        ours.send(index)
-        busy[ours] = (process, index)
+        far.close()
+        near.send(index)
+        busy[near] = (process, index)
 
     try:
         for _ in range(workers):
             start()
         while busy:
-            for pipe in wait(list(busy)):
+            for pipe in cast(list[Connection], wait(list(busy))):
                 process, index = busy.pop(pipe)
                 try:
                     answer = pipe.recv()
@@ -245,27 +255,34 @@ def _run(wanted: Iterator[int], out: Path, settings: DatasetSettings, workers: i
             process.terminate()
 
 
-def _same_settings(out: Path, settings: DatasetSettings) -> None:
-    """Write the settings into an empty folder, or compare them with those that are there."""
+def _check_settings(out: Path, settings: DatasetSettings) -> None:
+    """Write the settings into an empty folder, or compare them with those of its samples."""
+    from genmf_mi.stress.model.weights import with_current_names  # not at the top: no worker needs torch
+
     path = out / "settings.json"
     record = json.loads(json.dumps(settings.record()))
     if not path.exists():
         if (out / "index.jsonl").exists():
-            raise ConfigError(f"{out} has an index without settings; choose another --out.")
+            raise ConfigError(f"{out} holds an index without settings. Choose another --out.")
         write_text(path, json.dumps(record, indent=2) + "\n")
         return
-    there = json.loads(path.read_text(encoding="utf-8"))
-    different = [key for key in record if record[key] != there.get(key)]
+    existing = json.loads(path.read_text(encoding="utf-8"))
+    existing["simulation"] = with_current_names(existing.get("simulation", {}))
+    different = [key for key in record if record[key] != existing.get(key)]
     if different:
         raise ConfigError(
-            f"{out} holds samples made with other settings ({', '.join(different)} differ); "
-            "use those of its settings.json, or choose another --out."
+            f"{out} holds samples of other settings ({', '.join(different)} differ). "
+            "Use those of its settings.json, or choose another --out."
         )
 
 
 @contextmanager
-def _claimed(out: Path) -> Iterator[None]:
-    """Hold ``out`` for this process alone."""
+def _locked(out: Path) -> Iterator[None]:
+    """Hold ``out`` for this process alone.
+
+    Several processes may add to one folder in turn, so it is not claimed as a folder of new results is
+    (:func:`genmf_mi.core.files.claim_folder`).
+    """
     try:
         (out / "samples").mkdir(parents=True, exist_ok=True)
         lock = (out / ".lock").open("w")
@@ -275,5 +292,5 @@ def _claimed(out: Path) -> Iterator[None]:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
-            raise ConfigError(f"another process is adding to {out}; wait for it or choose another --out.") from None
+            raise ConfigError(f"another process is adding to {out}. Wait for it, or choose another --out.") from None
         yield

@@ -19,15 +19,15 @@ from genmf_mi.sdf.redistance import redistance
 from genmf_mi.stress.data import codec
 from genmf_mi.stress.data.dataset import FORMAT, read_index
 from genmf_mi.stress.fem.coarse import coarse_stress
-from genmf_mi.stress.model.weights import settings_of
+from genmf_mi.stress.model.weights import settings_of, with_current_names
 
 SYMMETRIES = 8
-"""Quarter turns about the vertical, each with and without a mirror image; the physics cannot tell them apart."""
+"""Quarter turns about the vertical, each with and without a mirror image; the physics is the same in all."""
 DECODING = 1
-"""Raised when decoded samples of an older program would not fit this one."""
+"""Version of the decoded samples: one more when those of an older program would not fit this one."""
 
 
-def turned(field: np.ndarray, symmetry: int) -> np.ndarray:
+def apply_symmetry(field: np.ndarray, symmetry: int) -> np.ndarray:
     """``field [x,y,z]`` under one of the eight symmetries about the y axis; 0 leaves it as it is."""
     field = np.rot90(field, symmetry % 4, axes=(0, 2))
     return np.ascontiguousarray(field[::-1] if symmetry >= 4 else field)
@@ -37,12 +37,12 @@ class StressSamples(Dataset):
     """Pairs (Φ, von Mises in MPa), float32 ``[1,n,n,n]`` each, indexed x, y, z with y up; von Mises is 0 outside.
 
     Args:
-        folder: what ``genmf-mi stress dataset --out`` wrote.
+        folder: the ``--out`` of ``genmf-mi stress dataset``.
         split: ``train``, ``validation`` or ``test``. Variants of one shape are all in one split.
         augment: take each sample in one of its eight symmetries, at random from torch's generator.
         stride: keep every ``stride``-th sample of the grid, 2 makes 65³ of 129³.
         cache: a folder for decoded samples (13 MB each at 129³), which are then mapped into memory: unpacking and
-            rebuilding one takes half a second, and its coarse stress three.
+            redistancing one takes half a second, and its coarse stress three.
         coarse_mm: edge of the mesh for :meth:`with_coarse`, 0 for none.
 
     Raises:
@@ -70,8 +70,8 @@ class StressSamples(Dataset):
             raise ConfigError(
                 f"{folder} holds no {split} samples; make some with `genmf-mi stress dataset --out {folder}`."
             )
-        kind = hashlib.sha256(json.dumps([DECODING, self.settings], sort_keys=True).encode()).hexdigest()[:16]
-        self.cache = None if cache is None else Path(cache) / kind
+        digest = hashlib.sha256(json.dumps([DECODING, self.settings], sort_keys=True).encode()).hexdigest()[:16]
+        self.cache = None if cache is None else Path(cache) / digest
         self.coarse_mm = coarse_mm
         self.simulation = settings_of(self.settings["simulation"])
 
@@ -100,15 +100,15 @@ class StressSamples(Dataset):
 
         return self._cached(item, f"-{self.coarse_mm:g}", solve)
 
-    def _cached(self, item: int, kind: str, make: Callable[[], np.ndarray]) -> np.ndarray:
+    def _cached(self, item: int, suffix: str, compute: Callable[[], np.ndarray]) -> np.ndarray:
         if self.cache is None:
-            return make()
-        path = self.cache / f"{self.records[item]['index']:06d}{kind}.npy"
+            return compute()
+        path = self.cache / f"{self.records[item]['index']:06d}{suffix}.npy"
         try:
             return np.load(path, mmap_mode="r")
         except (OSError, ValueError, EOFError):
             with atomic(path) as temporary:
-                np.save(temporary, make())
+                np.save(temporary, compute())
             return np.load(path, mmap_mode="r")
 
     def _decoded(self, item: int) -> tuple[np.ndarray, np.ndarray]:
@@ -122,29 +122,31 @@ class StressSamples(Dataset):
             raise ConfigError(f"{path} cannot be read ({error}); make the data set again or restore it.") from error
 
     def __getitem__(self, item: int) -> tuple[torch.Tensor, torch.Tensor]:
-        return self._tensors(self.arrays(item))
+        phi, stress = self._tensors(*self.arrays(item))
+        return phi, stress
 
     def with_coarse(self, item: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
         """Φ, von Mises, and :meth:`coarse`, None without ``coarse_mm``."""
         if not self.coarse_mm:
             return *self[item], None
-        return self._tensors((*self.arrays(item), self.coarse(item)))
+        phi, stress, coarse = self._tensors(*self.arrays(item), self.coarse(item))
+        return phi, stress, coarse
 
-    def _tensors(self, fields: tuple[np.ndarray, ...]) -> tuple[torch.Tensor, ...]:
+    def _tensors(self, *fields: np.ndarray) -> list[torch.Tensor]:
         """Strided, in one and the same symmetry, as float32 ``[1,n,n,n]``."""
         symmetry = int(torch.randint(SYMMETRIES, ())) if self.augment else 0
         step = self.stride
-        return tuple(
-            torch.from_numpy(turned(field[::step, ::step, ::step], symmetry).astype(np.float32))[None]
+        return [
+            torch.from_numpy(apply_symmetry(field[::step, ::step, ::step], symmetry).astype(np.float32))[None]
             for field in fields
-        )
+        ]
 
 
 def read_settings(folder: Path) -> dict:
     """What the samples of a folder share: see :meth:`genmf_mi.stress.data.dataset.DatasetSettings.record`.
 
     Raises:
-        ConfigError: no data set there, or one of another format.
+        ConfigError: no data set, or one of another format.
     """
     path = folder / "settings.json"
     try:
@@ -154,5 +156,5 @@ def read_settings(folder: Path) -> dict:
             f"{folder} holds no data set ({path.name} cannot be read); make one with `genmf-mi stress dataset`."
         ) from error
     if not isinstance(settings, dict) or settings.get("format") != FORMAT:
-        raise ConfigError(f"{folder} holds samples of another format than this program makes; make them again.")
-    return settings
+        raise ConfigError(f"{folder} holds samples of another format than this program writes; make them again.")
+    return {**settings, "simulation": with_current_names(settings["simulation"])}

@@ -11,7 +11,7 @@ import numpy as np
 from genmf_mi.core.errors import SolidError
 from genmf_mi.core.frame import HALF_EXTENT, Frame
 from genmf_mi.sdf.distance import axis, signed_distance
-from genmf_mi.stress.data.shapes import FAMILIES, Shape, relief, turned
+from genmf_mi.stress.data.shapes import FAMILIES, Shape, relief, rotated
 from genmf_mi.stress.fem import surface
 from genmf_mi.stress.fem.simulation import frame_of
 
@@ -20,10 +20,10 @@ MESH_SHARE = 0.4
 AMPLITUDE_MM, WAVELENGTH_MM = (0.3, 1.5), (2.0, 8.0)
 SCALE = (0.75, 1.33)
 """Each axis is stretched by a factor between these, evenly in the logarithm."""
-FILLED = (0.004, 0.35)
-"""Shares of the cube about a shape that procedural shapes may fill; a fuller one takes a minute and more to solve."""
-THIN, LOOSE = 0.4, 0.005
-"""Most of the surface that may be thin, and most of the volume that may be loose, in a sample."""
+VOLUME_FRACTION = (0.004, 0.35)
+"""Of the cube about a procedural shape, at least and at most; a fuller one takes a minute and more to solve."""
+MAX_THIN_FRACTION, MAX_LOOSE_FRACTION = 0.4, 0.005
+"""Largest share of the surface that may be thin, and of the volume that may be loose, in a sample."""
 SPLIT = (("train", 0.8), ("validation", 0.9), ("test", 1.0))
 
 
@@ -48,7 +48,7 @@ class Recipe:
         return next(name for name, bound in SPLIT if digest < bound)
 
 
-def recipe(index: int, seed: int, sources: dict[str, Path], same: dict[str, str]) -> Recipe:
+def recipe_of(index: int, seed: int, sources: dict[str, Path], same: dict[str, str]) -> Recipe:
     """The recipe of sample ``index``.
 
     Args:
@@ -76,7 +76,8 @@ def surface_of(what: Recipe, seed: int, size_mm: float, n: int) -> tuple[np.ndar
         SolidError: no acceptable shape came out. AssetError: the file cannot be read.
     """
     rng = np.random.default_rng([seed, what.index // 2, 2])
-    angle, scale = rng.uniform(0, 2 * np.pi), np.exp(rng.uniform(*np.log(SCALE), 3))
+    smallest, largest = np.log(SCALE)
+    angle, scale = rng.uniform(0, 2 * np.pi), np.exp(rng.uniform(smallest, largest, 3))
     if what.path is None:
         phi = _procedural(what.family, rng, angle, scale, n)
     else:
@@ -98,30 +99,30 @@ def surface_of(what: Recipe, seed: int, size_mm: float, n: int) -> tuple[np.ndar
 
 def check_thin(what: Recipe, thin: float) -> None:
     """Raises :class:`SolidError` for a shape that the grid cannot hold: see :func:`distance.lost_fraction`."""
-    if thin > THIN:
+    if thin > MAX_THIN_FRACTION:
         raise SolidError(f"{what.shape}: thinner than two grid cells under {thin:.0%} of its surface.")
 
 
 def check_whole(what: Recipe, dropped: list[float], kept: float) -> None:
     """Raises :class:`SolidError` for a shape that comes apart when meshed: Φ would show more than the field."""
-    if sum(dropped) > LOOSE * kept:
+    if sum(dropped) > MAX_LOOSE_FRACTION * kept:
         raise SolidError(f"{what.shape}: {len(dropped)} parts hang together by less than a face.")
 
 
 def _procedural(family: str, rng: np.random.Generator, angle: float, scale: np.ndarray, n: int) -> np.ndarray:
     """A field on the n³ grid whose zero surface is the shape, and which is about a distance near it."""
     for _ in range(12):
-        shape = turned(FAMILIES[family](rng), angle, scale)
+        shape = rotated(FAMILIES[family](rng), angle, scale)
         rough, half = 97, 2.2
         ticks = half * axis(rough)
-        inside = _one_body(_evaluate(shape, ticks, ticks, ticks)) < 0
+        inside = _largest_component(_evaluate(shape, ticks, ticks, ticks)) < 0
         if not inside.any():
             continue
-        places = np.argwhere(inside)
-        low, high = ticks[places.min(axis=0)], ticks[places.max(axis=0)]
+        indices = np.argwhere(inside)
+        low, high = ticks[indices.min(axis=0)], ticks[indices.max(axis=0)]
         longest = (high - low).max()
-        filled = inside.sum() * (ticks[1] - ticks[0]) ** 3 / longest**3
-        if longest > 2 * half * 0.96 or not FILLED[0] < filled < FILLED[1]:
+        volume_fraction = inside.sum() * (ticks[1] - ticks[0]) ** 3 / longest**3
+        if longest > 2 * half * 0.96 or not VOLUME_FRACTION[0] < volume_fraction < VOLUME_FRACTION[1]:
             continue
         centre, reach = (low + high) / 2, longest / 2 / 0.9
         return _refined(lambda p, s=shape, c=centre, r=reach: s(p * r + c) / r, n)
@@ -138,7 +139,7 @@ def _refined(shape: Shape, n: int) -> np.ndarray:
 
     half = (n + 1) // 2
     ticks = axis(half)
-    field = zoom(_evaluate(shape, ticks, ticks, ticks), n / half, order=1, grid_mode=False)
+    field = np.asarray(zoom(_evaluate(shape, ticks, ticks, ticks), n / half, order=1, grid_mode=False))
     near = np.abs(field) < 8.0 / (n - 1)
     field[near] = shape(_points(near))
     slope = np.sqrt(sum(g**2 for g in np.gradient(field, 2.0 / (n - 1))))
@@ -151,23 +152,24 @@ def _points(chosen: np.ndarray) -> np.ndarray:
     return np.stack([ticks[i] for i in np.nonzero(chosen)], axis=-1)
 
 
-def _one_body(field: np.ndarray) -> np.ndarray:
-    """The field with all but the largest part of its inside taken out."""
+def _largest_component(field: np.ndarray) -> np.ndarray:
+    """The field without all but the largest component of its inside."""
     from scipy.ndimage import label
 
-    parts, count = label(field < 0)
-    if count < 2:
+    component = np.empty(field.shape, dtype=np.int32)
+    label(field < 0, output=component)
+    if component.max() < 2:
         return field
-    largest = np.bincount(parts.reshape(-1))[1:].argmax() + 1
-    return np.where((parts > 0) & (parts != largest), 1e-3, field)
+    largest = np.bincount(component.reshape(-1))[1:].argmax() + 1
+    return np.where((component > 0) & (component != largest), 1e-3, field)
 
 
 def contour(field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The zero surface of a field on [-1, 1]³, in the normalised frame."""
     from skimage.measure import marching_cubes
 
-    field = _one_body(field)
+    field = _largest_component(field)
     if not field.min() < 0 < field.max():
-        raise SolidError("nothing was left of the shape.")
+        raise SolidError("nothing is left of the shape.")
     vertices, faces, _, _ = marching_cubes(field, 0.0)
     return Frame.of(vertices, 1.0).normalise(vertices.astype(np.float64)), faces.astype(np.int64)

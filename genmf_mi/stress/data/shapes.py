@@ -9,21 +9,22 @@ from collections.abc import Callable
 from functools import reduce
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 Shape = Callable[[np.ndarray], np.ndarray]
 """Maps points ``[...,3]`` in about [-1, 1]³ to values ``[...]``."""
 
 
-def sphere(centre, radius: float) -> Shape:
+def sphere(centre: ArrayLike, radius: float) -> Shape:
     return lambda p: np.linalg.norm(p - np.asarray(centre), axis=-1) - radius
 
 
-def ellipsoid(centre, radii) -> Shape:
+def ellipsoid(centre: ArrayLike, radii: ArrayLike) -> Shape:
     radii = np.asarray(radii)
     return lambda p: (np.linalg.norm((p - np.asarray(centre)) / radii, axis=-1) - 1.0) * radii.min()
 
 
-def box(centre, half, rounding: float = 0.0) -> Shape:
+def box(centre: ArrayLike, half: ArrayLike, rounding: float = 0.0) -> Shape:
     half = np.asarray(half) - rounding
 
     def value(p: np.ndarray) -> np.ndarray:
@@ -33,7 +34,7 @@ def box(centre, half, rounding: float = 0.0) -> Shape:
     return value
 
 
-def capsule(a, b, radius: float, radius_b: float | None = None) -> Shape:
+def capsule(a: ArrayLike, b: ArrayLike, radius: float, radius_b: float | None = None) -> Shape:
     """From ``a`` to ``b``, the radius changing linearly."""
     a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
     end = radius if radius_b is None else radius_b
@@ -45,7 +46,7 @@ def capsule(a, b, radius: float, radius_b: float | None = None) -> Shape:
     return value
 
 
-def cylinder(centre, axis: int, radius: float, half_length: float) -> Shape:
+def cylinder(centre: ArrayLike, axis: int, radius: float, half_length: float) -> Shape:
     centre = np.asarray(centre, dtype=float)
     others = [i for i in range(3) if i != axis]
 
@@ -56,7 +57,7 @@ def cylinder(centre, axis: int, radius: float, half_length: float) -> Shape:
     return value
 
 
-def cone(centre, radius: float, height: float) -> Shape:
+def cone(centre: ArrayLike, radius: float, height: float) -> Shape:
     """Upright, base at ``centre``."""
     centre = np.asarray(centre, dtype=float)
 
@@ -68,7 +69,7 @@ def cone(centre, radius: float, height: float) -> Shape:
     return value
 
 
-def torus(centre, axis: int, major: float, minor: float) -> Shape:
+def torus(centre: ArrayLike, axis: int, major: float, minor: float) -> Shape:
     centre = np.asarray(centre, dtype=float)
     others = [i for i in range(3) if i != axis]
 
@@ -101,16 +102,12 @@ def smooth_union(shapes: list[Shape], width: float) -> Shape:
     return lambda p: reduce(pair, (shape(p) for shape in shapes))
 
 
-def shell(shape: Shape, thickness: float) -> Shape:
-    """The layer of ``thickness`` below the surface."""
-    return lambda p: np.maximum(shape(p), -shape(p) - thickness)
-
-
-def turned(shape: Shape, angle: float, scale=(1.0, 1.0, 1.0)) -> Shape:
-    """Turned about the vertical by ``angle`` radians after scaling each axis."""
+def rotated(shape: Shape, angle: float, scale: ArrayLike = (1.0, 1.0, 1.0)) -> Shape:
+    """Rotated about the vertical by ``angle`` radians after scaling each axis."""
     c, s = np.cos(angle), np.sin(angle)
     back = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]]) / np.asarray(scale)[:, None]
-    return lambda p: shape(p @ back.T) * min(scale)
+    smallest = np.min(scale)
+    return lambda p: shape(p @ back.T) * smallest
 
 
 def blobs(rng: np.random.Generator) -> Shape:
@@ -125,7 +122,7 @@ def _primitive(rng: np.random.Generator, reach: float, size: float) -> Shape:
     centre, radius = rng.uniform(-reach, reach, 3), size * rng.uniform(0.5, 1.0)
     return [
         lambda: sphere(centre, radius),
-        lambda: turned(box(centre, size * rng.uniform(0.4, 1.0, 3), rng.uniform(0.0, 0.05)), rng.uniform(0, np.pi)),
+        lambda: rotated(box(centre, size * rng.uniform(0.4, 1.0, 3), rng.uniform(0.0, 0.05)), rng.uniform(0, np.pi)),
         lambda: cylinder(centre, int(rng.integers(3)), radius * 0.7, size),
         lambda: cone(centre - [0, size, 0], radius, 2 * size),
         lambda: torus(centre, int(rng.integers(3)), radius * 0.9, radius * 0.35),

@@ -1,4 +1,4 @@
-"""What a network was trained on, in a few numbers per shape, and whether another shape lies outside of that."""
+"""The shapes that a network was trained on, as the ranges of a few numbers, and whether another shape is like them."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Iterable
 import torch
 from torch import Tensor
 
-SLACK = 0.05
-"""Part of a range by which a shape may leave it at either end."""
+TOLERANCE = 0.05
+"""Share of a range by which a shape may leave it at either end."""
 MEANING = {
     "filled": "the share of its box that it fills",
     "flatness": "its smallest extent over its largest",
@@ -17,16 +17,17 @@ MEANING = {
     "thickest": "its largest depth",
     "skin": "the share of it that is within a cell of the surface",
 }
+"""The descriptors; files of weights hold ranges under these names."""
 
 
 def descriptors(phi: Tensor) -> dict[str, float]:
     """Of the body in ``phi [1,n,n,n]``; depths in cells, the others are ratios. The body must not be empty."""
     inside = phi[0] <= 0
-    places = torch.nonzero(inside)
-    extents = (places.amax(dim=0) - places.amin(dim=0) + 1).tolist()
+    indices = torch.nonzero(inside)
+    extents = (indices.amax(dim=0) - indices.amin(dim=0) + 1).tolist()
     depth = -phi[0][inside] * (phi.shape[-1] - 1) / 2
     return {
-        "filled": len(places) / (extents[0] * extents[1] * extents[2]),
+        "filled": len(indices) / (extents[0] * extents[1] * extents[2]),
         "flatness": min(extents) / max(extents),
         "height": extents[1] / max(extents),
         "thickness": float(depth.mean()),
@@ -41,12 +42,16 @@ def ranges(shapes: Iterable[Tensor]) -> dict[str, list[float]]:
     return {name: [min(r[name] for r in rows), max(r[name] for r in rows)] for name in MEANING}
 
 
-def outside(phi: Tensor, trained: dict[str, list[float]]) -> list[str]:
-    """In what a shape differs from all that a network was trained on; a sentence each, none if nothing does."""
-    found = descriptors(phi)
+def out_of_distribution(phi: Tensor, trained: dict[str, list[float]]) -> list[str]:
+    """How a shape differs from all that a network was trained on; a sentence each, none if it is like them.
+
+    Args:
+        phi: ``[1,n,n,n]``. trained: :func:`ranges` of the training, or some of them.
+    """
+    current = descriptors(phi)
     sentences = []
     for name, (low, high) in trained.items():
-        slack = SLACK * (high - low)
-        if not low - slack <= found[name] <= high + slack:
-            sentences.append(f"{MEANING[name]} is {found[name]:.3g}, in training it was {low:.3g} to {high:.3g}")
+        slack = TOLERANCE * (high - low)
+        if not low - slack <= current[name] <= high + slack:
+            sentences.append(f"{MEANING[name]} is {current[name]:.3g}, in training it was {low:.3g} to {high:.3g}")
     return sentences

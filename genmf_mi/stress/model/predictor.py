@@ -1,4 +1,6 @@
-"""Thermal stress by the trained network: from a mesh or Φ to the field in one call."""
+"""Thermal stress in seconds: coarse finite elements and the correction of a trained network."""
+
+# ruff: noqa: F722  (jaxtyping writes shapes as strings)
 
 from __future__ import annotations
 
@@ -8,22 +10,27 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from genmf_mi.core.frame import Frame
 from genmf_mi.sdf import distance
 from genmf_mi.sdf.redistance import redistance
 from genmf_mi.stress.fem import tet_mesh, tetrahedra
-from genmf_mi.stress.fem.coarse import coarse_stress
+from genmf_mi.stress.fem.coarse import EDGE_MM, coarse_stress
+from genmf_mi.stress.fem.materials import material
 from genmf_mi.stress.fem.simulation import Settings, frame_of
 from genmf_mi.stress.fem.statistics import SURFACE_BAND_MM
 from genmf_mi.stress.fem.tet_mesh import TetMesh
 from genmf_mi.stress.model import compute, domain, weights
+from genmf_mi.stress.model.network import Box
 
 PACKAGED = Path(__file__).with_name("compact.safetensors")
 PACKAGED_SHA256 = "d6245629f5b1e2f0a46d60bb7e360b30bf2bfa76f584af845bf59f302996c294"
-THIN = 0.01
-"""Part of the surface under which a body may be thinner than two cells without a warning."""
+SIZE_TOLERANCE = 0.1
+"""Share by which the size of a part may differ from that in training: the time to cool goes with its square."""
+THIN_WITHOUT_WARNING = 0.01
+"""Share of the surface under which a body may be thinner than two cells without a warning."""
 
 
 @dataclass(frozen=True)
@@ -36,21 +43,24 @@ class NodalField:
 
 @dataclass(frozen=True)
 class Prediction:
-    """The predicted field of one shape; a :class:`genmf_mi.stress.fem.simulation.Simulation` to those that write or draw it.
+    """The predicted field of one shape.
 
-    phi, von_mises: float32 ``[n,n,n]``, the latter in MPa and zero outside. lost: see
-    :func:`distance.lost_fraction`. warnings: why not to trust it, a sentence each.
+    What writes or draws a :class:`genmf_mi.stress.fem.simulation.Simulation` takes it too.
+
+    phi, von_mises: float32 ``[n,n,n]``, the latter in MPa and zero outside.
+    thin_fraction: of the surface, under which the body is too thin for the grid (:func:`distance.lost_fraction`).
+    warnings: why not to trust it, a sentence each.
     """
 
     settings: Settings
     frame: Frame
     phi: np.ndarray
     von_mises: np.ndarray
-    lost: float
+    thin_fraction: float
     warnings: list[str]
 
     def on_grid(self) -> tuple[np.ndarray, int]:
-        """The field, and how many samples were filled in: none."""
+        """The field, and how many samples took the value of a neighbour: none."""
         return self.von_mises, 0
 
     @cached_property
@@ -62,26 +72,42 @@ class Prediction:
 
     @cached_property
     def field(self) -> NodalField:
+        """The field at the nodes of :attr:`mesh`."""
         from scipy.ndimage import distance_transform_edt
 
         # Nodes lie on the surface, where half of the samples about are outside
-        nearest = distance_transform_edt(self.phi > 0, return_distances=False, return_indices=True)
+        nearest = np.asarray(distance_transform_edt(self.phi > 0, return_distances=False, return_indices=True))
         value = distance.sample(self.von_mises[tuple(nearest)], self.mesh.points)
         return NodalField(self.mesh.with_points(self.frame.to_print(self.mesh.points)), value)
 
 
 class Predictor:
-    """A trained network with what it was trained for.
+    """Predicts the stress of parts: the field of a coarse finite-element mesh, and a trained network's correction.
+
+    The coarse field is computed for the settings of the part, whatever they are. The correction holds for those of the
+    training only: for a part of another size, material, protocol or grid it is left out, and ``note`` says so.
 
     Args:
         file: weights from a training; those of the package if not given.
         device: ``auto``, ``cpu`` or ``cuda``. precision: ``auto``, ``float32`` or ``bfloat16``.
+        settings: how the part is simulated; as in training if not given. Their ``edge_mm`` is not used.
+
+    Attributes:
+        settings: those of the part.
+        note: why the network is not used, a sentence; empty if it is.
+        about: the header of the weights, see :func:`weights.load`.
 
     Raises:
         WeightsError: missing, damaged, or not the published ones. ConfigError: no such device.
     """
 
-    def __init__(self, file: str | Path | None = None, device: str = "auto", precision: str = "auto") -> None:
+    def __init__(
+        self,
+        file: str | Path | None = None,
+        device: str = "auto",
+        precision: str = "auto",
+        settings: Settings | None = None,
+    ) -> None:
         if file is None:
             network, about = weights.load(PACKAGED, preset="compact", sha256=PACKAGED_SHA256)
         else:
@@ -90,54 +116,102 @@ class Predictor:
         self.network = network.to(self.device)
         self.bfloat16 = compute.bfloat16_on(self.device, precision)
         self.about = about
-        self.settings = weights.settings_of(about["simulation"])
+        trained = weights.settings_of(about["simulation"])
+        self.settings = settings or trained
+        self.note = untrained(self.settings, trained)
 
-    def coarse(self, phi: Tensor) -> Tensor | None:
-        """Von Mises on a coarse mesh in MPa ``[1,n,n,n]`` for Φ of that shape, differentiable; None if the network does
-        not ask for it.
+    @property
+    def uses_network(self) -> bool:
+        """Whether the network's correction is added to the coarse field."""
+        return not self.note
+
+    def coarse(self, phi: Float[Tensor, "1 n n n"]) -> Float[Tensor, "1 n n n"] | None:
+        """Von Mises on a coarse mesh in MPa, differentiable; None if the network is used and does not need it.
 
         Raises:
             SolveError: a solve did not converge.
         """
-        edge = self.network.architecture.coarse_mm
-        return coarse_stress(phi, self.settings, edge) if edge else None
+        if self.uses_network and not self.network.architecture.coarse_mm:
+            return None
+        return self._solved(phi)
 
-    def field(self, phi: Tensor, box: tuple[slice, slice, slice] | None = None, coarse: Tensor | None = None) -> Tensor:
-        """Von Mises in MPa ``[1,n,n,n]`` for Φ of that shape; differentiable, see :func:`compute.stress`.
+    def _solved(self, phi: Tensor) -> Tensor:
+        return coarse_stress(phi, self.settings, self.network.architecture.coarse_mm or EDGE_MM)
 
-        coarse: :meth:`coarse` of Φ, which is found if not given.
+    def field(
+        self,
+        phi: Float[Tensor, "1 n n n"],
+        box: Box | None = None,
+        coarse: Float[Tensor, "1 n n n"] | None = None,
+    ) -> Float[Tensor, "1 n n n"]:
+        """Von Mises in MPa; differentiable.
+
+        Args:
+            box: crop of the network, see :func:`compute.stress`.
+            coarse: :meth:`coarse` of Φ, which is computed if not given.
+
+        Raises:
+            SolveError: a solve did not converge.
         """
-        return compute.stress(self.network, phi, self.bfloat16, box, self.coarse(phi) if coarse is None else coarse)
+        if not self.uses_network:
+            return self._solved(phi) if coarse is None else coarse
+        coarse = self.coarse(phi) if coarse is None else coarse
+        return compute.stress(self.network, phi, self.bfloat16, box, coarse, self.settings)
 
     def predict(self, vertices: np.ndarray, faces: np.ndarray) -> Prediction:
-        """The field of the solid that a surface encloses, as :func:`genmf_mi.stress.fem.simulation.simulate` would give it.
+        """The field of the solid that a surface encloses, in place of :func:`genmf_mi.stress.fem.simulation.simulate`.
 
         Args:
             vertices: ``[V,3]``, file frame, y up; the longest side counts as ``settings.size_mm``.
             faces: ``[F,3]``.
 
         Raises:
-            SolidError: nothing enclosed, or not numbers.
+            SolidError: nothing enclosed, or not numbers. SolveError: a solve did not converge.
         """
         frame = frame_of(np.asarray(vertices, dtype=np.float64), self.settings.size_mm)
-        inside = frame.normalise(vertices)
-        phi = distance.signed_distance(inside, faces, self.settings.grid)
-        return self.predict_distance(phi, frame, distance.lost_fraction(inside, faces, phi))
+        normalised = frame.normalise(vertices)
+        phi = distance.signed_distance(normalised, faces, self.settings.grid)
+        return self.predict_distance(phi, frame, distance.lost_fraction(normalised, faces, phi))
 
-    def predict_distance(self, phi: np.ndarray, frame: Frame, lost: float = 0.0) -> Prediction:
-        """The field of the body Φ < 0, ``phi [n,n,n]``; ``lost`` as by :func:`distance.lost_fraction`."""
-        field = torch.from_numpy(redistance(phi))[None]
+    def predict_distance(self, phi: np.ndarray, frame: Frame, thin_fraction: float = 0.0) -> Prediction:
+        """The field of the body Φ < 0, ``phi [n,n,n]``; thin_fraction: see :class:`Prediction`.
+
+        Raises:
+            SolveError: a solve did not converge.
+        """
+        distances = torch.from_numpy(redistance(phi))[None]
         with torch.no_grad():
-            stress = self.field(field)
-        warnings = domain.outside(field, self.about["training"].get("domain", {}))
-        if lost > THIN:
-            warnings.append(f"it is thinner than two grid cells under {lost:.0%} of its surface")
-        von_mises = torch.where(field <= 0, stress, 0.0)[0].numpy()
-        return Prediction(self.settings, frame, phi, von_mises, lost, warnings)
+            stress = self.field(distances)
+        warnings = [self.note]
+        if self.uses_network:
+            warnings = domain.out_of_distribution(distances, self.about["training"].get("domain", {}))
+        if thin_fraction > THIN_WITHOUT_WARNING:
+            warnings.append(f"it is thinner than two grid cells under {thin_fraction:.0%} of its surface")
+        von_mises = torch.where(distances <= 0, stress, 0.0)[0].numpy()
+        return Prediction(self.settings, frame, phi, von_mises, thin_fraction, warnings)
+
+
+def untrained(settings: Settings, trained: Settings) -> str:
+    """Why a network that was trained with the settings ``trained`` does not hold for ``settings``; empty if it does.
+
+    ``edge_mm`` is how finely a field is computed and not of what part, so it does not count.
+    """
+    different = []
+    if abs(settings.size_mm / trained.size_mm - 1) > SIZE_TOLERANCE:
+        different.append(f"parts of {trained.size_mm:g} mm (not {settings.size_mm:g} mm)")
+    if material(settings.material) != material(trained.material):
+        different.append(f"{trained.material} (not {settings.material})")
+    if settings.protocol != trained.protocol:
+        different.append("another protocol")
+    if settings.grid != trained.grid:
+        different.append(f"a grid of {trained.grid}³ samples (not {settings.grid}³)")
+    if not different:
+        return ""
+    return f"the network was trained for {', '.join(different)}: the stress is that of the coarse finite elements alone"
 
 
 def summary(prediction: Prediction) -> dict:
-    """As :func:`genmf_mi.stress.fem.statistics.summary`, as far as it is known; samples of the grid count alike."""
+    """The part of :func:`genmf_mi.stress.fem.statistics.summary` that a prediction has; all samples count alike."""
     inside = prediction.phi <= 0
     value, mm = prediction.von_mises[inside], prediction.frame.mm_per_unit
     near = value[-prediction.phi[inside] * mm <= SURFACE_BAND_MM]
@@ -158,7 +232,7 @@ def summary(prediction: Prediction) -> dict:
             "p99_9": float(np.percentile(near, 99.9)),
             "volume_fraction": len(near) / len(value),
         },
-        "mesh": {"volume_mm3": len(value) * cell**3, "thin_fraction": prediction.lost},
+        "mesh": {"volume_mm3": len(value) * cell**3, "thin_fraction": prediction.thin_fraction},
         "warnings": prediction.warnings,
         "settings": asdict(prediction.settings),
     }

@@ -1,12 +1,13 @@
-"""Trained networks as files: safetensors, with what they are and what they were trained on in the header.
+"""Trained networks as files: safetensors, with the architecture and the record of the training in the header.
 
-A file is good for one protocol only: what it was trained to predict is part of what it is.
+A file is good for one material, size and protocol only: what it was trained to predict is part of what it is.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 from genmf_mi.core.errors import GenmfError
@@ -17,10 +18,13 @@ from genmf_mi.stress.model.network import Architecture, StressNetwork
 
 KEY, FORMAT = "genmf_mi_stress_network", 1
 """All in one entry of the header: safetensors writes several in a random order, and the hash would change."""
+_RENAMED = {"film_w_m2k": "heat_transfer_coefficient_w_m2k", "side": "block_size"}
+"""Former names of a field of :class:`Protocol` and of one of :class:`Architecture`. The weights of the package were
+published with them, and so were data sets; writing their headers anew would change their SHA-256."""
 
 
 class WeightsError(GenmfError):
-    """A file of weights is missing, damaged, or of another network or protocol than the one that was asked for."""
+    """A file of weights is missing, damaged, or of another network or protocol than the wanted one."""
 
 
 def save(path: str | Path, network: StressNetwork, preset: str, simulation: dict, training: dict) -> str:
@@ -28,7 +32,7 @@ def save(path: str | Path, network: StressNetwork, preset: str, simulation: dict
 
     Args:
         simulation: settings of the samples (:class:`genmf_mi.stress.fem.simulation.Settings` as a dict).
-        training: anything else that is worth knowing; JSON.
+        training: the record of the training, JSON.
 
     Raises:
         OutputError: the file cannot be written.
@@ -38,7 +42,7 @@ def save(path: str | Path, network: StressNetwork, preset: str, simulation: dict
     about = {
         "format": FORMAT,
         "preset": preset,
-        "architecture": network.settings(),
+        "architecture": asdict(network.architecture),
         "simulation": simulation,
         "training": training,
     }
@@ -51,10 +55,13 @@ def save(path: str | Path, network: StressNetwork, preset: str, simulation: dict
 def load(
     path: str | Path, *, preset: str | None = None, simulation: dict | None = None, sha256: str | None = None
 ) -> tuple[StressNetwork, dict]:
-    """The network in a file, ready to predict on the CPU, and what :func:`save` was told about it.
+    """The network in a file, ready to predict on the CPU, and its header.
 
     Args:
-        preset, simulation, sha256: what the file must be of and hash to, where given.
+        preset, simulation, sha256: what the file must hold and hash to, where given.
+
+    Returns:
+        The network, and ``preset``, ``architecture``, ``simulation`` and ``training`` by name, see :func:`save`.
 
     Raises:
         WeightsError: missing, damaged, truncated, of another preset or protocol, or not the file that was published.
@@ -71,32 +78,41 @@ def load(
             header = file.metadata() or {}
             tensors = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError) as error:
-        raise WeightsError(f"{path} is damaged or no file of weights ({error}); get it again.") from error
+        raise WeightsError(f"{path} is damaged or no file of weights ({error}); get another copy.") from error
     about = json.loads(header.get(KEY, "{}"))
     if about.get("format") != FORMAT:
-        raise WeightsError(f"{path} holds no stress network that this program knows; train one again.")
+        raise WeightsError(f"{path} holds no stress network that this program can read; train one again.")
     if preset is not None and about["preset"] != preset:
         raise WeightsError(f"{path} holds the network {about['preset']!r}, not {preset!r}; give the other one.")
+    about = {**about, **{name: with_current_names(about[name]) for name in ("architecture", "simulation")}}
     if simulation is not None:
         check_simulation(path, about["simulation"], simulation)
     network = StressNetwork(Architecture(**about["architecture"]))
     try:
         network.load_state_dict(tensors)
     except RuntimeError as error:
-        raise WeightsError(f"{path} does not fit its own description; get it again.") from error
+        raise WeightsError(f"{path} does not fit its own description; get another copy.") from error
     return network.eval().requires_grad_(False), about
 
 
-def check_simulation(path: str | Path, there: dict, wanted: dict) -> None:
+def check_simulation(path: str | Path, trained: dict, wanted: dict) -> None:
     """Raises :class:`WeightsError` where two simulations differ in anything but the fineness of their mesh."""
     flat = [
-        {**simulation, **simulation["protocol"], "protocol": None, "edge_mm": None} for simulation in (there, wanted)
+        {**simulation, **simulation["protocol"], "protocol": None, "edge_mm": None} for simulation in (trained, wanted)
     ]
     different = sorted(key for key in flat[0].keys() | flat[1].keys() if flat[0].get(key) != flat[1].get(key))
     if different:
         raise WeightsError(
             f"{path} is for another simulation ({', '.join(different)} differ); use weights trained for this one."
         )
+
+
+def with_current_names(record: dict) -> dict:
+    """A record from a file, nested or not, with the current names of what had other names before."""
+    return {
+        _RENAMED.get(key, key): with_current_names(value) if isinstance(value, dict) else value
+        for key, value in record.items()
+    }
 
 
 def digest(path: str | Path) -> str:
@@ -106,5 +122,5 @@ def digest(path: str | Path) -> str:
 
 
 def settings_of(simulation: dict) -> Settings:
-    """The settings that a file's ``simulation`` describes."""
+    """The settings that a ``simulation`` in the header of a file or in a data set describes."""
     return Settings(**{**simulation, "protocol": Protocol(**simulation["protocol"])})

@@ -1,23 +1,24 @@
-"""What can be told without a network: a constant, and a fit to thickness and curvature at the point.
+"""What can be predicted without a network: a constant, and a fit to thickness and curvature at the point.
 
 A network that is not clearly better than these has learned nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import torch
 from torch import Tensor
 
+from genmf_mi.core.progress import Progress
 from genmf_mi.stress.data.reader import StressSamples
 from genmf_mi.stress.model.layers import GeometricGradient
-from genmf_mi.stress.model.network import to_stress, to_target, window
+from genmf_mi.stress.model.network import crop_box, to_stress, to_target
 from genmf_mi.stress.training.metrics import Predict
 
 RADII = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0)
 """Of the balls that local thickness is read from, in cells."""
+FEATURES = 26
+"""Columns of :func:`features`."""
 
 
 def constant(samples: StressSamples) -> Predict:
@@ -25,24 +26,25 @@ def constant(samples: StressSamples) -> Predict:
     total = count = 0.0
     for phi, stress in (samples[item] for item in range(len(samples))):
         total, count = total + float(stress[phi <= 0].sum()), count + int((phi <= 0).sum())
-    return lambda phi: torch.full_like(phi, total / count)
+    return lambda phi, coarse: torch.full_like(phi, total / count)
 
 
-def pointwise(samples: StressSamples, progress: Callable[[int], None] | None = None) -> Predict:
+def pointwise(samples: StressSamples, progress: Progress | None = None) -> Predict:
     """Least squares for log(1 + σ/k) on :func:`features`, all inner samples counting alike."""
-    normal, right = 0.0, 0.0
+    progress = progress or Progress()
+    progress.stage("fitting")
+    normal, right = np.zeros((FEATURES, FEATURES)), np.zeros(FEATURES)
     for item in range(len(samples)):
         phi, stress = samples[item]
-        box = (slice(None), *window(phi))
+        box = (slice(None), *crop_box(phi))
         target = to_target(stress[box])[phi[box] <= 0].double().numpy()
         matrix = features(phi[box], 2.0 / (phi.shape[-1] - 1))
         normal, right = normal + matrix.T @ matrix, right + matrix.T @ target
-        if progress is not None:
-            progress(item + 1)
+        progress.advance(item + 1, len(samples))
     weights = np.linalg.lstsq(normal, right, rcond=None)[0]
 
-    def predict(phi: Tensor) -> Tensor:
-        box = (slice(None), *window(phi))
+    def predict(phi: Tensor, coarse: Tensor | None) -> Tensor:
+        box = (slice(None), *crop_box(phi))
         value = features(phi[box], 2.0 / (phi.shape[-1] - 1)) @ weights
         field = torch.zeros_like(phi)
         field[box][phi[box] <= 0] = to_stress(torch.from_numpy(value)).float()
@@ -52,7 +54,7 @@ def pointwise(samples: StressSamples, progress: Callable[[int], None] | None = N
 
 
 def features(phi: Tensor, cell: float) -> np.ndarray:
-    """``[N,26]`` for the samples with Φ ≤ 0 of ``phi [1,X,Y,Z]``.
+    """``[N,26]`` for the samples with Φ ≤ 0 of ``phi [1,X,Y,Z]``: 1, seven quantities and 18 products.
 
     Depth, local thickness, mean curvature, the vertical part of the normal, the height above the base and how near the
     base is, and the products of the first three with all of them.
@@ -80,10 +82,10 @@ def thickness(depth: np.ndarray) -> np.ndarray:
     """Radius ``[X,Y,Z]``, in cells, of the largest ball of :data:`RADII` that is inside and holds the sample."""
     from scipy.ndimage import distance_transform_edt
 
-    found = np.maximum(depth, 0.0)
+    largest = np.maximum(depth, 0.0)
     for radius in RADII:
         centres = depth >= radius
         if not centres.any():
             break
-        found[distance_transform_edt(~centres) <= radius] = radius
-    return np.maximum(found, depth)
+        largest[np.asarray(distance_transform_edt(~centres)) <= radius] = radius
+    return np.maximum(largest, depth)

@@ -1,4 +1,4 @@
-"""Settings of a training; without torch, so that the command line can be made from them at once."""
+"""Settings of a training; without torch, so that the command line is built from them quickly."""
 
 from __future__ import annotations
 

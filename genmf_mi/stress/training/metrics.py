@@ -8,15 +8,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from genmf_mi.core.progress import Progress
 from genmf_mi.stress.data.reader import StressSamples
 from genmf_mi.stress.fem.statistics import surface_band_depth
 from genmf_mi.stress.model.network import to_target
 
-Predict = Callable[[Tensor], Tensor]
-"""Φ ``[1,X,Y,Z]`` to von Mises in MPa, likewise."""
+Predict = Callable[[Tensor, Tensor | None], Tensor]
+"""Φ and the coarse stress of a sample, ``[1,X,Y,Z]``, to von Mises in MPa, likewise; the coarse stress is None for
+samples without (:meth:`StressSamples.with_coarse`)."""
 TOP = 0.05
-BAND = surface_band_depth(100.0)
-"""Depth of the surface band in normalised units: 4 mm of a part of 100 mm."""
+"""Share of a body that counts as its most stressed."""
 
 
 def masked_mse(predicted: Tensor, target: Tensor, phi: Tensor, tail: float = 0.0) -> Tensor:
@@ -42,27 +43,31 @@ def top_iou(predicted: Tensor, true: Tensor, phi: Tensor) -> float:
     """Intersection over union of the 5 % of the samples inside that are highest in the one field and in the other."""
     inside = phi <= 0
     count = _top(int(inside.sum()))
-    ours, theirs = (set(field[inside].topk(count).indices.tolist()) for field in (predicted, true))
-    return len(ours & theirs) / len(ours | theirs)
+    first, second = (set(field[inside].topk(count).indices.tolist()) for field in (predicted, true))
+    return len(first & second) / len(first | second)
 
 
 def _top(count: int) -> int:
     return max(1, round(TOP * count))
 
 
-def band_mean(stress: Tensor, phi: Tensor) -> float:
-    """Mean within 4 mm of the surface, in MPa."""
-    return float(stress[(phi <= 0) & (phi >= -BAND)].mean())
+def band_mean(stress: Tensor, phi: Tensor, depth: float) -> float:
+    """Mean in MPa within ``depth`` of the surface, see :func:`genmf_mi.stress.fem.statistics.surface_band_depth`."""
+    return float(stress[(phi <= 0) & (phi >= -depth)].mean())
 
 
 @torch.no_grad()
-def score(predict: Predict, samples: StressSamples, progress: Callable[[int], None] | None = None) -> list[dict]:
-    """One row per sample: ``index, shape, family, relief``; ``loss``, :func:`masked_mse` of log(1 + σ/k); ``iou``; and
-    ``mae, mean, band, true_band`` in MPa, the last two within 4 mm of the surface."""
-    rows = []
+def score(predict: Predict, samples: StressSamples, progress: Progress | None = None) -> list[dict]:
+    """Scores of each sample.
+
+    Returns:
+        One row per sample: ``index, shape, family, relief``; ``loss``, :func:`masked_mse` of log(1 + σ/k); ``iou``; and
+        ``mae, mean, band, true_band`` in MPa, the last two within 4 mm of the surface.
+    """
+    progress, rows, depth = progress or Progress(), [], surface_band_depth(samples.simulation.size_mm)
     for item, record in enumerate(samples.records):
-        phi, true = samples[item]
-        predicted = predict(phi)
+        phi, true, coarse = samples.with_coarse(item)
+        predicted = predict(phi, coarse)
         rows.append(
             {
                 **{key: record[key] for key in ("index", "shape", "family")},
@@ -71,19 +76,18 @@ def score(predict: Predict, samples: StressSamples, progress: Callable[[int], No
                 "mae": mean_absolute_error(predicted, true, phi),
                 "iou": top_iou(predicted, true, phi),
                 "mean": float(true[phi <= 0].mean()),
-                "band": band_mean(predicted, phi),
-                "true_band": band_mean(true, phi),
+                "band": band_mean(predicted, phi, depth),
+                "true_band": band_mean(true, phi, depth),
             }
         )
-        if progress is not None:
-            progress(item + 1)
+        progress.advance(item + 1, len(samples))
     return rows
 
 
 def summary(rows: list[dict]) -> dict[str, dict]:
     """Means over all samples (``all``) and over those of each family.
 
-    ``relief`` is what steers a refinement: the correlation between the predicted and the true change of the surface
+    ``relief`` is what a refinement relies on: the correlation between the predicted and the true change of the surface
     band, as log ratios, that relief makes to a shape; None where fewer than three shapes come with and without.
     """
     families = {"all": rows}
