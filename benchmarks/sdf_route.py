@@ -45,11 +45,11 @@ def field_of(asset: Path, path: Path) -> Path:
     """The file ``path`` with Φ of ``asset``; it is written if it does not exist yet."""
     from genmf_mi.assets.asset import load
     from genmf_mi.assets.generators import files
-    from genmf_mi.assets.generators.from_mesh import convert
+    from genmf_mi.assets.generators.from_mesh import sdf_from_mesh
 
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        files.save(convert(load(asset), SAMPLES), path)
+        files.save(sdf_from_mesh(load(asset), SAMPLES), path)
     return path
 
 

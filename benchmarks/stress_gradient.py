@@ -24,7 +24,7 @@ from genmf_mi.losses import stress as losses
 from genmf_mi.stress.data.reader import StressSamples
 from genmf_mi.stress.fem import simulation as fem
 from genmf_mi.stress.fem.statistics import SURFACE_BAND_MM, summary
-from genmf_mi.stress.model.network import window
+from genmf_mi.stress.model.network import crop_box
 from genmf_mi.stress.model.predictor import Predictor
 
 SMOOTHING = 30.0
@@ -75,7 +75,7 @@ def step(phi: torch.Tensor, predictor: Predictor, step_mm: float, edge_mm: float
     vertices = torch.as_tensor(vertices * (2.0 / (n - 1)) - 1.0, dtype=torch.float32).requires_grad_()
     faces = faces.astype(np.int64)
     mm = Frame.of(vertices.detach().numpy(), predictor.settings.size_mm).mm_per_unit
-    distance, box = MeshDistance(faces, n, every=1), window(phi)
+    distance, box = MeshDistance(faces, n, every=1), crop_box(phi)
 
     def band(vertices: torch.Tensor) -> torch.Tensor:
         field = distance(vertices)

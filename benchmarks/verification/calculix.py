@@ -19,7 +19,7 @@ from benchmarks.inputs import Inputs
 from genmf_mi.core.timer import Timer
 from genmf_mi.sdf.distance import signed_distance
 from genmf_mi.stress.fem import simulation as fem
-from genmf_mi.stress.fem import surface, tetrahedra
+from genmf_mi.stress.fem import surface, tet_mesh, tetrahedra
 from genmf_mi.stress.fem.elasticity import soft_clamp, von_mises
 from genmf_mi.stress.fem.materials import Material, material
 from genmf_mi.stress.fem.protocol import Protocol
@@ -103,8 +103,8 @@ def compare(path: Path, edge_mm: float, protocol: Protocol) -> dict:
     pla = material("pla")
     frame = fem.frame_of(vertices, 100.0)
     phi = signed_distance(frame.normalise(vertices), faces, 129)
-    mesh, _ = tetrahedra.largest_body(tetrahedra.isosurface_stuffing(phi, edge_mm / frame.mm_per_unit))
-    mesh = mesh.moved(frame.to_print(mesh.points))
+    mesh, _ = tet_mesh.largest_component(tetrahedra.isosurface_stuffing(phi, edge_mm / frame.mm_per_unit))
+    mesh = mesh.with_points(frame.to_print(mesh.points))
     start = time.process_time()
     ours = fem.solve(mesh, pla, protocol)
     seconds = time.process_time() - start

@@ -86,7 +86,7 @@ def simulate(case: Case) -> fem.Simulation:
     base = HALF_EXTENT * case.base_mm / RADIUS_MM
     phi = np.maximum(phi, (base - axis(case.grid))[None, :, None]).astype(np.float32)
     frame = Frame((0.0, 0.0, 0.0), HALF_EXTENT / RADIUS_MM, 2 * RADIUS_MM)
-    return fem.simulate_distance(phi, frame, fem.Settings(edge_mm=case.edge_mm, grid=case.grid), fem.Laps())
+    return fem.simulate_distance(phi, frame, fem.Settings(edge_mm=case.edge_mm, grid=case.grid))
 
 
 def measure(part: fem.Simulation, smooth: fem.Simulation) -> dict:
