@@ -6,12 +6,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from genmf_mi.pipeline.optimisation import CHECKPOINT_EVERY  # follows pipeline
-
 from benchmarks import record
 from benchmarks.inputs import Inputs
 from genmf_mi.core.config import PRESETS
 from genmf_mi.core.progress import Progress
+from genmf_mi.pipeline.optimisation import CHECKPOINT_EVERY  # follows pipeline
 from genmf_mi.pipeline.refinement import refine
 
 ITERATIONS = 300

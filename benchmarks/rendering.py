@@ -25,7 +25,9 @@ from benchmarks.inputs import Inputs
 from genmf_mi.core.timer import Timer
 from genmf_mi.render import bridge, variant
 from genmf_mi.render import scene as scenes
-from genmf_mi.render.scene import Scene, View, camera_to_world
+from genmf_mi.render.scene import Scene
+from genmf_mi.render.scene_file import find
+from genmf_mi.render.view import View, camera_to_world
 
 FACES, RESOLUTIONS, ROUNDS, SAMPLES = (20_480, 81_920, 327_680), (256, 512), 7, 4
 WARM_UP = 2
@@ -55,7 +57,7 @@ def main(inputs: Inputs) -> None:
 
 def row(ply: Path, points: np.ndarray, resolution: int) -> dict[str, float]:
     """Median milliseconds of each integrator and the ratios; ``points [V,3]`` are the vertices of the file ``ply``."""
-    scene = scenes.load(scenes.find("default"), ply, radius=0.95, resolution=resolution, samples=SAMPLES)
+    scene = scenes.load(find("default"), ply, radius=0.95, resolution=resolution, samples=SAMPLES)
     iterations = {
         "monochrome": own_iteration(scene, points),
         "prb": stock_iteration("prb", str(ply), scene, resolution),

@@ -11,15 +11,16 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from genmf_mi.geometry.uniform_adam import UniformAdam
 
 from benchmarks import record
 from benchmarks.inputs import Inputs
 from benchmarks.stress_stage import MEASURES
 from genmf_mi.assets import sources
 from genmf_mi.core.config import RefineConfig
+from genmf_mi.geometry.uniform_adam import UniformAdam
 from genmf_mi.pipeline.problem import build_problem, parameterize  # follows pipeline.problem
-from genmf_mi.render import scene, variant
+from genmf_mi.render import variant
+from genmf_mi.render.scene_file import find
 from genmf_mi.stress.fem.statistics import SURFACE_BAND_MM
 from genmf_mi.stress.model.predictor import Predictor
 from genmf_mi.stress.penalty import StressPenalty
@@ -53,7 +54,7 @@ def descend(path: Path, steps: int, rate: float, weights: Path | None) -> dict:
     asset = sources.load(path)
     device = variant.use(config.device)
     with tempfile.TemporaryDirectory() as folder:
-        problem = build_problem(asset, config, scene.find(asset.name), Path(folder))
+        problem = build_problem(asset, config, find(asset.name), Path(folder))
     mm, initial = problem.frame.mm_per_unit, problem.surface
     relief, predictor = parameterize(problem, config, device), Predictor(weights)
     distance = relief.distance(predictor.settings.grid)

@@ -98,7 +98,7 @@ def predictions(
     if fields:
         compared["coarse mesh alone"] = in_order(iter(fields))
     remaining = iter(coarse)
-    compared["network"] = lambda phi: predictor.field(phi, coarse=next(remaining))
+    compared["network"] = lambda phi, _: predictor.field(phi, coarse=next(remaining))
     if labels is not None:
         compared["labels"] = in_order(labels[item][1] for item in range(len(labels)))
     return compared
@@ -106,7 +106,7 @@ def predictions(
 
 def in_order(fields: Iterator[Tensor]) -> Predict:
     """A "prediction" that returns the next of ``fields``, whatever it is asked for."""
-    return lambda phi: next(fields)
+    return lambda phi, coarse: next(fields)
 
 
 def complexity(phi: np.ndarray) -> dict:

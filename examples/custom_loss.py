@@ -34,6 +34,8 @@ class FlatFoot:
 
     def __call__(self, image: Buffers, reference: Buffers, geometry: Geometry) -> dict[str, Tensor]:
         """Images are ``[1,channels,H,W]``, row 0 at the top; depths are in normalised units (longest side 1.9)."""
+        assert image.depth is not None and image.coverage is not None
+        assert reference.depth is not None and reference.coverage is not None
         rows = reference.coverage.amax(dim=(0, 1, 3)).nonzero()
         top, bottom = int(rows[0]), int(rows[-1])
         whole = (image.coverage.detach() > 0.999) & (reference.coverage > 0.999)  # no outlines

@@ -38,7 +38,7 @@ def ellipsoid(edge_mm: float) -> TetMesh:
     ticks = np.linspace(-1, 1, 129)
     x, y, z = np.meshgrid(ticks, ticks, ticks, indexing="ij")
     mesh = isosurface_stuffing((np.sqrt((x / 0.95) ** 2 + (y / 0.63) ** 2 + (z / 0.8) ** 2) - 1) * 0.63, edge_mm / 52.6)
-    return mesh.moved(52.6 * mesh.points)
+    return mesh.with_points(52.6 * mesh.points)
 
 
 def assemble(mesh: TetMesh) -> None:

@@ -46,7 +46,7 @@ def errors(edge_mm: float) -> tuple[float, float]:
     ticks = np.linspace(-1, 1, 97)
     r = np.linalg.norm(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=0)
     mesh = isosurface_stuffing(np.maximum(r - OUTER_MM / 50, INNER_MM / 50 - r), edge_mm / 50)
-    mesh = mesh.moved(50 * mesh.points)
+    mesh = mesh.with_points(50 * mesh.points)
 
     whole, cavity, skin = P1(mesh), P1(mesh), P1(mesh)
     radius = np.linalg.norm(mesh.points[whole.boundary].mean(axis=1), axis=1)

@@ -55,7 +55,6 @@ def convert(
 
 def _check(path: Path, out: Path, samples: int, textured: Path | None, from_mesh: bool, force: bool) -> None:
     """Refuse what cannot work before anything is computed. Raises :class:`GenmfError`."""
-    from genmf_mi.assets.sdf_asset import LARGEST
 
     suffix, possible = out.suffix.lower(), (*SDF, *GRID) if from_mesh else (*SDF, *MESH, *GRID)
     if suffix in MESH and from_mesh:
@@ -100,7 +99,6 @@ def _summary(shape: SdfAsset) -> str:
 
 def _write_mesh(shape: SdfAsset, out: Path) -> str:
     from genmf_mi.core.files import atomic
-    from genmf_mi.fabrication import files as fabricate
     from genmf_mi.mesh import topology
     from genmf_mi.pipeline import fabrication
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -12,7 +13,9 @@ from toys import painted
 import genmf_mi
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-SMALL = {"iterations": 6, "resolution": 96, "score_vgg": False, "stress": False, "device": "cpu"}
+SMALL = genmf_mi.RefineConfig(
+    max_relief_mm=2.0, iterations=6, resolution=96, score_vgg=False, stress=False, device="cpu"
+)
 
 
 def load(name: str) -> ModuleType:
@@ -52,8 +55,7 @@ class TestRefinements:
 
     def test_refine_mesh(self, tmp_path, two_views, capsys):
         asset, out = painted(tmp_path / "egg.ply"), tmp_path / "out"
-        config = genmf_mi.RefineConfig(**SMALL, max_relief_mm=2.0)
-        result = load("refine_mesh").main(asset, out, config=config, scene=two_views)
+        result = load("refine_mesh").main(asset, out, config=SMALL, scene=two_views)
         printed = capsys.readouterr().out
         assert {"refined.3mf", "before_after.png", "report.html"} <= {path.name for path in out.iterdir()}
         ssim = {name: result.metrics[name]["ssim"] for name in ("before", "displacement", "after")}
@@ -62,8 +64,7 @@ class TestRefinements:
         assert "refining ..." in printed and "SSIM 0.3" in printed
 
     def test_refine_field(self, two_views, capsys):
-        config = genmf_mi.RefineConfig(**SMALL, max_relief_mm=2.0)
-        result = load("refine_field").main(out=None, samples=33, config=config, scene=two_views)
+        result = load("refine_field").main(out=None, samples=33, config=SMALL, scene=two_views)
         ssim = {name: result.metrics[name]["ssim"] for name in ("before", "after")}
         assert ssim == pytest.approx({"before": 0.659, "after": 0.661}, abs=0.02)
         assert result.metrics["solid"]["volume_mm3"] == pytest.approx(206_100, rel=0.01)
@@ -72,7 +73,7 @@ class TestRefinements:
     def test_custom_loss(self, tmp_path, two_views, capsys):
         """0.139 and 0.200 mm without the term, 0.098 and 0.188 mm with it."""
         asset, main = painted(tmp_path / "egg.ply"), load("custom_loss").main
-        config = genmf_mi.RefineConfig(**SMALL | {"iterations": 20}, max_relief_mm=2.0)
+        config = replace(SMALL, iterations=20)
         foot, above = main(asset, weight=0.0, config=config, scene=two_views)
         flat_foot, above_it = main(asset, weight=100.0, config=config, scene=two_views)
         assert foot == pytest.approx(0.139, abs=0.02) and flat_foot < 0.8 * foot

@@ -14,9 +14,9 @@ from genmf_mi.geometry.displacement_bounds import DisplacementBounds
 from genmf_mi.geometry.sdf import SdfParameterization, SdfState
 from genmf_mi.geometry.sdf_distance import free_weights, slope
 from genmf_mi.losses.sdf import l_dev, sdf_tv
-from genmf_mi.mesh.nearest import distance_to_surface
 from genmf_mi.mesh.manifold import is_solid
 from genmf_mi.mesh.measures import vertex_normals
+from genmf_mi.mesh.nearest import distance_to_surface
 from genmf_mi.mesh.self_intersections import self_intersections
 from genmf_mi.sdf import flexicubes
 from genmf_mi.sdf.distance import signed_distance

@@ -1,6 +1,6 @@
 """How the network is run: on which device, in which precision, in which crop; in training as in prediction."""
 
-# ruff: noqa: F722  (jaxtyping writes shapes as strings)
+
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ elements for parts of 100 mm of PLA, which is enough for a feature of the networ
 are rather long: within two kelvin for PLA at 50 mm, four for PETG at 50 mm.
 """
 
-# ruff: noqa: F722  (jaxtyping writes shapes as strings)
+
 
 from __future__ import annotations
 

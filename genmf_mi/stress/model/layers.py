@@ -4,7 +4,7 @@ Fields are ``[B,C,X,Y,Z]`` with y up. Sides may be odd: a max-pooling drops the 
 :class:`UpBlock` repeats the last plane of what comes back.
 """
 
-# ruff: noqa: F722  (jaxtyping writes shapes as strings)
+
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ has cooled, how firmly the bed holds it, and the height above the bed. And it ha
 learn all this from many shapes; a small one does not learn it from a few hundred.
 """
 
-# ruff: noqa: F722  (jaxtyping writes shapes as strings)
+
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Thermal stress in seconds: coarse finite elements and the correction of a trained network."""
 
-# ruff: noqa: F722  (jaxtyping writes shapes as strings)
+
 
 from __future__ import annotations
 
