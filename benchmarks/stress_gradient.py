@@ -10,8 +10,6 @@ from typing import Literal
 
 import numpy as np
 import torch
-from genmf_mi.geometry.laplacian import ImplicitDiffusion
-from genmf_mi.geometry.uniform_adam import percentile
 from skimage.measure import marching_cubes
 
 from benchmarks import record
@@ -19,7 +17,9 @@ from benchmarks.inputs import Inputs
 from genmf_mi.core.frame import Frame
 from genmf_mi.core.timer import Timer
 from genmf_mi.geometry.displacement_bounds import BED_CONTACT_LIMIT
+from genmf_mi.geometry.laplacian import ImplicitDiffusion
 from genmf_mi.geometry.mesh_distance import MeshDistance
+from genmf_mi.geometry.uniform_adam import percentile
 from genmf_mi.losses import stress as losses
 from genmf_mi.stress.data.reader import StressSamples
 from genmf_mi.stress.fem import simulation as fem

@@ -13,15 +13,11 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "2")
 os.environ.setdefault("MPLBACKEND", "Agg")
 
-import jaxtyping
 import pytest
 from jaxtyping import install_import_hook
 
-# Shapes and types in the signatures of these packages are checked at every call.
-install_import_hook(["genmf_mi.losses", "genmf_mi.render"], "typechecker.check")
-
-# Before genmf_mi is imported: the shapes in its annotations are checked at every call
-jaxtyping.install_import_hook(["genmf_mi.stress.model"], "beartype.beartype")
+# Before genmf_mi is imported: shapes and types in the signatures of these packages are checked at every call
+install_import_hook(["genmf_mi.losses", "genmf_mi.render", "genmf_mi.stress.model"], "typechecker.check")
 
 
 @pytest.fixture(scope="session")

@@ -55,6 +55,7 @@ def convert(
 
 def _check(path: Path, out: Path, samples: int, textured: Path | None, from_mesh: bool, force: bool) -> None:
     """Refuse what cannot work before anything is computed. Raises :class:`GenmfError`."""
+    from genmf_mi.assets.sdf_asset import MAX_SAMPLES
 
     suffix, possible = out.suffix.lower(), (*SDF, *GRID) if from_mesh else (*SDF, *MESH, *GRID)
     if suffix in MESH and from_mesh:

@@ -126,8 +126,9 @@ def _means(values: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
 
 def _best_azimuth(vertices: np.ndarray, faces: np.ndarray, relief_mm: np.ndarray) -> int:
     """The azimuth in degrees (0 looks at +z, 90 at +x) from which most relief faces the viewer."""
-    a, b, c = (np.asarray(vertices)[faces[:, k]] for k in range(3))
-    normal = np.cross(b - a, c - a)
+    from genmf_mi.mesh.measures import face_areas, face_normals  # libigl takes 0.2 s to import
+
+    normal = face_normals(vertices, faces) * face_areas(vertices, faces)[:, None]
     weight = np.abs(np.nan_to_num(np.asarray(relief_mm)))[faces].mean(axis=1)
     azimuths = np.arange(0, 360, 30)
     angle = np.radians(azimuths)

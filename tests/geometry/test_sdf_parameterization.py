@@ -20,7 +20,7 @@ from genmf_mi.mesh.nearest import distance_to_surface
 from genmf_mi.mesh.self_intersections import self_intersections
 from genmf_mi.sdf import flexicubes
 from genmf_mi.sdf.distance import signed_distance
-from genmf_mi.sdf.grid import without_specks
+from genmf_mi.sdf.grid import without_small_components
 from genmf_mi.sdf.shell import shell
 
 CAP = 0.06
@@ -194,15 +194,15 @@ class TestBounds:
         """A bubble off the ball, and one in it."""
         phi = ball(radius=0.6).phi.copy()
         phi[3, 3, 3], phi[16, 16, 16] = -0.1, 0.1
-        clean, count = without_specks(phi)
+        clean, count = without_small_components(phi)
         assert count == 2 and ((clean < 0) == (ball(radius=0.6).phi < 0)).all()
         np.testing.assert_array_equal(np.abs(clean), np.abs(phi))
-        same, none = without_specks(ball().phi)
+        same, none = without_small_components(ball().phi)
         assert none == 0 and same is not None and np.array_equal(same, ball().phi)
 
     def test_bodies_of_some_size_stay(self):
         phi = np.minimum(ball(radius=0.4).phi, np.linalg.norm(grid() - 0.7, axis=-1) - 0.2)
-        assert without_specks(phi)[1] == 0
+        assert without_small_components(phi)[1] == 0
 
 
 class TestStart:

@@ -25,7 +25,7 @@ KEYS = {"ssim", "ssim_mask", "g_ssim", "g_ssim_mask", "lpips_alex", "lpips_mask_
 VIEWS = (View(0, 20), View(180, -10))
 SETS = {
     path.stem: scene.parse_views(scene.read_defaults(path)["views"])
-    for path in sorted(Path(genmf_mi.scenes.__file__).parent.glob("*.xml"))
+    for path in sorted(Path(genmf_mi.scenes.__file__).parent.glob("[a-z]*.xml"))
     if not path.stem.endswith("_sdf")
 }
 

@@ -16,7 +16,7 @@ import genmf_mi
 from genmf_mi.assets import samples, sources
 from genmf_mi.assets.asset import Asset, load
 from genmf_mi.assets.generators import files
-from genmf_mi.assets.generators.from_mesh import convert
+from genmf_mi.assets.generators.from_mesh import sdf_from_mesh
 from genmf_mi.assets.sdf_asset import SdfAsset
 from genmf_mi.cli.main import main
 from genmf_mi.core.errors import AssetError, OutputError
@@ -38,7 +38,7 @@ def shape() -> SdfAsset:
     """A striped egg on 33³ samples, 3.3 mm apart on a part of 100 mm."""
     ball = trimesh.creation.icosphere(4)
     vertices = np.array(ball.vertices) * (1, 0.8, 0.9)
-    return convert(Asset.from_arrays("toy", vertices, np.array(ball.faces), colours=stripes(vertices)), samples=33)
+    return sdf_from_mesh(Asset.from_arrays("toy", vertices, np.array(ball.faces), colours=stripes(vertices)), samples=33)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -140,7 +140,7 @@ class TestSources:
     def test_sample_as_field(self, shape, monkeypatch):
         """NAME_sdf is the sample, converted, with the sample's scene."""
         given = []
-        monkeypatch.setattr("genmf_mi.assets.generators.from_mesh.convert", lambda asset: given.append(asset) or shape)
+        monkeypatch.setattr("genmf_mi.assets.generators.from_mesh.sdf_from_mesh", lambda asset: given.append(asset) or shape)
         made = sources.load("leaf_sdf")
         assert isinstance(made, SdfAsset) and made.name == "leaf_sdf" and made.phi is shape.phi
         assert [type(mesh) for mesh in given] == [Asset] and given[0].name == "leaf" and given[0].textured
@@ -162,4 +162,4 @@ class TestSources:
 
     def test_without_colours(self):
         with pytest.raises(AssetError, match="no texture"):
-            genmf_mi.refine(convert(Asset.from_arrays("egg", egg().vertices, egg().faces), samples=33), CONFIG)
+            genmf_mi.refine(sdf_from_mesh(Asset.from_arrays("egg", egg().vertices, egg().faces), samples=33), CONFIG)

@@ -1,7 +1,5 @@
 """How the network is run: on which device, in which precision, in which crop; in training as in prediction."""
 
-
-
 from __future__ import annotations
 
 import torch

@@ -13,8 +13,6 @@ elements for parts of 100 mm of PLA, which is enough for a feature of the networ
 are rather long: within two kelvin for PLA at 50 mm, four for PETG at 50 mm.
 """
 
-
-
 from __future__ import annotations
 
 import torch

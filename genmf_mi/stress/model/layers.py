@@ -4,8 +4,6 @@ Fields are ``[B,C,X,Y,Z]`` with y up. Sides may be odd: a max-pooling drops the 
 :class:`UpBlock` repeats the last plane of what comes back.
 """
 
-
-
 from __future__ import annotations
 
 import torch

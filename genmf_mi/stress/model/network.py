@@ -15,8 +15,6 @@ has cooled, how firmly the bed holds it, and the height above the bed. And it ha
 learn all this from many shapes; a small one does not learn it from a few hundred.
 """
 
-
-
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass

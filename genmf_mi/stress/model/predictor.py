@@ -1,7 +1,5 @@
 """Thermal stress in seconds: coarse finite elements and the correction of a trained network."""
 
-
-
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass

@@ -10,7 +10,7 @@ import numpy as np
 
 from genmf_mi.core.colour import to_linear, to_srgb
 from genmf_mi.core.files import atomic
-from genmf_mi.mesh.topology import vertex_normals
+from genmf_mi.mesh.measures import vertex_normals
 from genmf_mi.stress.fem.simulation import Simulation
 
 if TYPE_CHECKING:

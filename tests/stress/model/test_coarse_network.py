@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from test_stress_training import N, ball, write_samples
+from stress_samples import N, ball, write_samples
 
 from genmf_mi.core.errors import ConfigError
 from genmf_mi.stress.data import reader
@@ -19,7 +19,7 @@ from genmf_mi.stress.model.network import Architecture, StressNetwork, to_stress
 from genmf_mi.stress.model.predictor import Predictor
 
 EDGE_MM = 10.0
-WITH_COARSE = Architecture(4, side=2, poolings=2, coarse_mm=EDGE_MM, grid=N)
+WITH_COARSE = Architecture(4, block_size=2, poolings=2, coarse_mm=EDGE_MM, grid=N)
 SETTINGS = Settings(grid=N, size_mm=80.0)
 
 
