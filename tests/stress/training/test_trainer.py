@@ -15,7 +15,7 @@ from stress_samples import N, write_samples
 from genmf_mi.core.errors import ConfigError, OutputError
 from genmf_mi.core.progress import Progress
 from genmf_mi.stress.fem.simulation import Settings
-from genmf_mi.stress.model import network, weights
+from genmf_mi.stress.model import layers, network, weights
 from genmf_mi.stress.model.network import Architecture
 from genmf_mi.stress.model.weights import WeightsError
 from genmf_mi.stress.training import curves, trainer
@@ -110,6 +110,21 @@ def test_what_a_training_leaves(data: Path, tmp_path: Path, monkeypatch: pytest.
     assert about["simulation"]["grid"] == N and about["training"]["steps_made"] == 16
     assert net.architecture == replace(TINY, grid=N)
     assert not any(p.requires_grad for p in net.parameters())
+
+
+def test_physics_of_the_data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Size, material and protocol that the network learns from are those that the samples were simulated with."""
+    given, forward = [], layers.Physics.forward
+
+    def recorded(self: layers.Physics, phi: torch.Tensor, settings: Settings) -> torch.Tensor:
+        given.append(settings)
+        return forward(self, phi, settings)
+
+    monkeypatch.setitem(network.PRESETS, "compact", replace(TINY, physics=True))
+    monkeypatch.setattr(layers.Physics, "forward", recorded)
+    settings = Settings(grid=N, size_mm=50.0, material="petg")
+    train(write_samples(tmp_path / "data", settings), tmp_path / "out", replace(CONFIG, steps=1))
+    assert given and all(one == settings for one in given)
 
 
 def test_starting_from_weights(data: Path, tmp_path: Path) -> None:
