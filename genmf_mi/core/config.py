@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
 from math import isfinite
-from typing import Literal
+from typing import Any, Literal
 
 from genmf_mi.core.errors import ConfigError
 
@@ -161,7 +161,7 @@ class RefineConfig:
         a gap of the nozzle; and what is finer than a pixel has no gradient."""
         return self.edge_mm or max(self.nozzle_mm, 1.2 * self.size_mm / self.resolution)
 
-    def to_dict(self) -> dict:
+    def to_dict(self) -> dict[str, Any]:
         """Plain types only, as written to ``config.yaml``."""
         return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
 

@@ -32,7 +32,8 @@ class Frame:
         """The frame of a point set ``[V,3]`` in file units."""
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         longest = float((high - low).max())
-        return cls(tuple(map(float, (low + high) / 2)), 2 * HALF_EXTENT / longest, float(size_mm))
+        x, y, z = map(float, (low + high) / 2)
+        return cls((x, y, z), 2 * HALF_EXTENT / longest, float(size_mm))
 
     @property
     def mm_per_unit(self) -> float:

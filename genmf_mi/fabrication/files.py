@@ -52,7 +52,9 @@ def write(
 def _write_stl(path: Path, vertices: np.ndarray, faces: np.ndarray, title: str) -> None:
     from trimesh import Trimesh
 
-    path.write_bytes(Trimesh(vertices, faces, process=False, metadata={"name": title}).export(file_type="stl"))
+    content = Trimesh(vertices, faces, process=False, metadata={"name": title}).export(file_type="stl")
+    assert isinstance(content, bytes), "binary STL"
+    path.write_bytes(content)
 
 
 def _compare(path: Path, vertices: np.ndarray, faces: np.ndarray, tolerance: float) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,8 @@ def write_3mf(path: Path, vertices: np.ndarray, faces: np.ndarray, title: str) -
     """
     import lib3mf
 
-    model = lib3mf.get_wrapper().CreateModel()
+    wrapper: Any = lib3mf.get_wrapper()
+    model = wrapper.CreateModel()
     model.SetUnit(lib3mf.ModelUnit.MilliMeter)
     metadata = model.GetMetaDataGroup()
     metadata.AddMetaData("", "Title", title, "xs:string", True)
@@ -26,6 +28,6 @@ def write_3mf(path: Path, vertices: np.ndarray, faces: np.ndarray, title: str) -
         [lib3mf.Position((x, y, z)) for x, y, z in vertices.astype(np.float32).tolist()],
         [lib3mf.Triangle((a, b, c)) for a, b, c in faces.tolist()],
     )
-    model.AddBuildItem(mesh, lib3mf.get_wrapper().GetIdentityTransform())
+    model.AddBuildItem(mesh, wrapper.GetIdentityTransform())
     # WriteToFile aborts the process when the disk is full
     path.write_bytes(bytes(model.QueryWriter("3mf").WriteToBuffer()))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from cholespy import CholeskySolverF, MatrixType
+from cholespy import CholeskySolverF, MatrixType  # pyright: ignore[reportAttributeAccessIssue]  (compiled)
 from scipy.sparse import coo_matrix, csr_matrix, diags
 from torch import Tensor
 

@@ -56,7 +56,7 @@ class MeshDistance:
 
     def search(self, vertices: Tensor) -> None:
         """Find the closest triangles anew; a call does so by itself when it is time."""
-        from scipy.spatial import cKDTree
+        from scipy.spatial import KDTree
 
         place = vertices.detach().cpu().double().numpy()
         near = narrow_band(place, self.faces, self.n)
@@ -67,7 +67,7 @@ class MeshDistance:
         deep = np.flatnonzero(reached & (face < 0))
         if len(deep):
             some = near.distance < 2.0 / (self.n - 1)  # their points lie as dense as the others' and are far fewer
-            tree = cKDTree(near.closest[some], balanced_tree=False, compact_nodes=False)
+            tree = KDTree(near.closest[some], balanced_tree=False, compact_nodes=False)
             _, nearest = tree.query(self._at(deep), workers=-1)
             face[deep] = near.face[some][nearest]
         index = np.flatnonzero(reached)

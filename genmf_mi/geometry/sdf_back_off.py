@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from genmf_mi.geometry.parameterization import FindSelfIntersections, RefinedSurface
 
@@ -47,9 +47,10 @@ def back_off_fields(
         return to_grid(vertices[np.unique(faces[found])])
 
     found_before = find_self_intersections(*initial)
-    tolerated = cKDTree(spots_of(*initial, found_before))
-    kept: Kept = tuple(np.ones(len(x)) for x in places)
-    failed: list[cKDTree] = []
+    tolerated = KDTree(spots_of(*initial, found_before))
+    phi, deformation, weights = (np.ones(len(x)) for x in places)
+    kept: Kept = phi, deformation, weights
+    failed: list[KDTree] = []
     near, first = REACH_CELLS * cell, 0
     for attempt in itertools.count():
         surface = extract(kept)
@@ -63,7 +64,7 @@ def back_off_fields(
         failures = np.full(len(spots), attempt // PATIENCE)
         for earlier in failed:
             failures += earlier.query(spots)[0] < near
-        failed.append(cKDTree(spots))
+        failed.append(KDTree(spots))
         _take_back(kept, places, spots, failures, near)
     held_back = np.minimum(*kept[:2]) < 1
     report = {
@@ -80,7 +81,7 @@ def _take_back(
 ) -> None:
     """Lower ``kept`` about each of ``spots [S,3]`` by its number of ``failures [S]``."""
     for count in np.unique(failures):
-        tree, reach = cKDTree(spots[failures == count]), near * GROWTH ** max(count - 1, 0)
+        tree, reach = KDTree(spots[failures == count]), near * GROWTH ** max(count - 1, 0)
         for share, at, taken in zip(kept, places, (min(count / 2, 1), 1, 1), strict=True):
             distance = tree.query(at, distance_upper_bound=reach)[0] / reach
             share *= 1 - taken * np.clip(2 - 2 * distance, 0, 1)

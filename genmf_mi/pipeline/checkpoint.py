@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
@@ -63,8 +63,7 @@ class Checkpoint:
 
     @classmethod
     def _from_dict(cls, values: dict[str, Any]) -> Checkpoint:
-        checkpoint = cls(**values)
-        if not (isinstance(checkpoint.iteration, int) and isinstance(checkpoint.optimiser, dict)):
+        stage_one = values["stage_one"]
+        if not (type(values["iteration"]) is int and type(values["optimiser"]) is dict):
             raise TypeError("not a checkpoint")
-        stage_one = checkpoint.stage_one
-        return replace(checkpoint, stage_one=cls._from_dict(stage_one)) if isinstance(stage_one, dict) else checkpoint
+        return cls(**{**values, "stage_one": None if stage_one is None else cls._from_dict(stage_one)})

@@ -101,7 +101,7 @@ def refine(
         left_out = too_thin(problem) if config.stress_stage and config.method == "relief" else ""
         if left_out:
             progress.warn(f"no stress stage: {left_out}")
-        stress = StressStage(problem, config, device) if config.stress_stage and not left_out else None
+        stress = StressStage(config, device, progress) if config.stress_stage and not left_out else None
         optimisation = Optimisation(problem, config, parameterization, stress, extra_terms)
         if config.method == "relief":
             parameterization.set_heights(initial_heights(problem, displacement))

@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from genmf_mi.core.config import RefineConfig
 from genmf_mi.core.errors import ConfigError, OutputError
@@ -38,7 +38,8 @@ class RunFolder:
         """
         import yaml
 
-        folder, settings = cls(Path(path)), {"asset": asset, **config.to_dict()}
+        folder = cls(Path(path))
+        settings: dict[str, Any] = {"asset": asset, **config.to_dict()}
         # Settings alone are of a run that failed before it had anything to lose
         claim_folder(path, "run", finished=(METRICS,), interrupted=(CHECKPOINT,), force=force, resume=resume)
         if resume:
@@ -74,7 +75,7 @@ class RunFolder:
             raise OutputError(f"{self.path / CONFIG} cannot be read. Start again with --force.") from error
         if not isinstance(settings, dict):
             raise OutputError(f"{self.path / CONFIG} holds no settings. Start again with --force.")
-        return settings
+        return cast(dict[str, Any], settings)
 
     def metrics(self) -> dict[str, Any] | None:
         """The contents of ``metrics.json`` of a complete run, None if there is none.
@@ -90,6 +91,7 @@ class RunFolder:
             raise OutputError(f"{self.path / METRICS} cannot be read. Start again with --force.") from error
         if not isinstance(metrics, dict):
             raise OutputError(f"{self.path / METRICS} holds no metrics. Start again with --force.")
+        metrics = cast(dict[str, Any], metrics)
         return None if metrics.get("interrupted") else metrics
 
     def save(self, checkpoint: Checkpoint, history: Sequence[dict[str, Any]]) -> None:

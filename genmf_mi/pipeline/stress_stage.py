@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from genmf_mi.core.config import RefineConfig
+from genmf_mi.core.progress import Progress
 from genmf_mi.geometry.parameterization import Geometry, Parameterization
 from genmf_mi.geometry.uniform_adam import UniformAdam, percentile
 from genmf_mi.pipeline.problem import RefinementProblem
@@ -33,22 +34,24 @@ class StressStage:
     """Adds L_stress to the loss from iteration ``first`` on.
 
     Args:
-        device: of the network.
+        device: of the network. progress: is warned if the network was not trained for such a part.
     """
 
-    def __init__(self, problem: RefinementProblem, config: RefineConfig, device: str) -> None:
+    def __init__(self, config: RefineConfig, device: str, progress: Progress) -> None:
         self.first = config.stage_one_share * config.iterations
-        self._problem, self._config, self._device = problem, config, device
+        self._config, self._device, self._progress = config, device, progress
         self._penalty: StressPenalty | None = None
         self._gradient_norm_weight = 0.0
 
     def begin(self, parameterization: Parameterization) -> None:
         """Predict the stress of the initial shape."""
-        size = {"size_mm": self._config.size_mm, "material": self._config.material}
-        predict = predictor.Predictor(device=self._device, settings=Settings(**size))
+        part = Settings(size_mm=self._config.size_mm, material=self._config.material)
+        prediction = predictor.Predictor(device=self._device, settings=part)
+        if prediction.note:
+            self._progress.warn(prediction.note)
         self._penalty = StressPenalty(
-            predict,
-            parameterization.distance(predict.settings.grid),
+            prediction,
+            parameterization.distance(prediction.settings.grid),
             parameterization.initial_shape,
             every=self._config.stress_every,
             band=surface_band_depth(self._config.size_mm),

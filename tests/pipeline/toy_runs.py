@@ -67,7 +67,7 @@ class Waves:
     asked: Settings | None = None
 
     def __init__(self, device: str = "cpu", settings: Settings | None = None) -> None:
-        Waves.asked, self.settings = settings, Settings(grid=33)
+        Waves.asked, self.settings, self.note = settings, Settings(grid=33), ""
 
     def field(self, phi: torch.Tensor, box: tuple[slice, slice, slice]) -> torch.Tensor:
         Waves.evaluations += 1
