@@ -100,13 +100,13 @@ def _summary(shape: SdfAsset) -> str:
 
 def _write_mesh(shape: SdfAsset, out: Path) -> str:
     from genmf_mi.core.files import atomic
+    from genmf_mi.fabrication.files import write_glb
     from genmf_mi.mesh import topology
-    from genmf_mi.pipeline import fabrication
 
     mesh = shape.as_mesh()
     rgb = mesh.albedo.colours if shape.textured else None
     with atomic(out) as temporary:
-        fabrication.write_glb(temporary, mesh.vertices, mesh.faces, rgb, shape.name)
+        write_glb(temporary, mesh.vertices, mesh.faces, rgb, shape.name)
     closed, count = topology.is_closed(mesh.faces), int(topology.components(mesh.faces).max() + 1)
     return (
         f"{len(mesh.vertices)} vertices, {len(mesh.faces)} faces, {'with' if shape.textured else 'without'} colours, "
