@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 from genmf_mi.core.progress import Progress
 
 if TYPE_CHECKING:
-    from genmf_mi.stress.fem.simulation import Settings, Simulation
+    from genmf_mi.stress.fem.settings import Settings
+    from genmf_mi.stress.fem.simulation import Simulation
 
 THIN = 0.01
 """Share of the surface that may be thinner than two grid cells without a warning."""
