@@ -7,11 +7,15 @@ import subprocess
 import sys
 from pathlib import Path
 from shlex import split
+from typing import TYPE_CHECKING
 
 from genmf_mi.cli.arguments import call
 from genmf_mi.cli.refine import RefineArguments, parse_text
-from genmf_mi.core.errors import ConfigError, GenmfError, OutputError
+from genmf_mi.core.errors import ConfigError, GenmfError
 from genmf_mi.core.files import write_text
+
+if TYPE_CHECKING:
+    from genmf_mi.pipeline.run_folder import RunFolder
 
 SUMMARY = "batch.json"
 
@@ -50,21 +54,21 @@ def batch(assets: tuple[Path, ...], out: Path = Path("runs"), arguments: str = "
     return int(any(outcome["state"] == "failed" for outcome in outcomes.values()))
 
 
-def _refine(asset: Path, folder: Path, chosen: RefineArguments, words: list[str], force: bool) -> dict:
-    """Refine one asset into ``folder`` unless that is done; its outcome.
+def _refine(asset: Path, path: Path, chosen: RefineArguments, words: list[str], force: bool) -> dict:
+    """Refine one asset into the folder ``path`` unless that is done; its outcome.
 
     words: the arguments that were parsed to ``chosen``, for the process.
     """
-    from genmf_mi.pipeline.run_folder import CHECKPOINT, METRICS
+    from genmf_mi.pipeline.run_folder import METRICS, RunFolder
 
-    metrics = folder / METRICS
+    folder, metrics = RunFolder(path), path / METRICS
     try:
         if not force and _is_finished(folder, chosen):
             return {"state": "skipped", "metrics": str(metrics)}
-        mode = "--resume" if not force and (folder / CHECKPOINT).exists() else "--force"
+        mode = "--resume" if folder.interrupted and not force else "--force"
     except (GenmfError, OSError) as error:
         return {"state": "failed", "error": f"error: {error}"}
-    command = [sys.executable, "-m", "genmf_mi", "refine", str(asset), "--out", str(folder), "--quiet", mode, *words]
+    command = [sys.executable, "-m", "genmf_mi", "refine", str(asset), "--out", str(path), "--quiet", mode, *words]
     process = subprocess.run(command, capture_output=True, text=True, encoding="utf-8", errors="replace", check=False)
     lines = [line for line in process.stderr.splitlines() if line.strip()]
     warnings = [line.removeprefix("warning: ") for line in lines if line.startswith("warning: ")]
@@ -75,26 +79,20 @@ def _refine(asset: Path, folder: Path, chosen: RefineArguments, words: list[str]
     return {"state": "failed", "error": next((line for line in lines if line.startswith("error:")), last), **outcome}
 
 
-def _is_finished(folder: Path, chosen: RefineArguments) -> bool:
+def _is_finished(folder: RunFolder, chosen: RefineArguments) -> bool:
     """Whether ``folder`` holds a complete run of the settings in ``chosen``.
 
     Raises:
         ConfigError: a complete run of other settings. OutputError: a damaged one.
     """
-    from genmf_mi.pipeline.run_folder import METRICS, RunFolder
-
-    if not (folder / METRICS).exists():
+    metrics = folder.metrics()
+    if metrics is None:
         return False
-    try:
-        metrics = json.loads((folder / METRICS).read_text(encoding="utf-8"))
-        interrupted = metrics.get("interrupted")
-    except (ValueError, AttributeError) as error:
-        raise OutputError(f"{folder / METRICS} is damaged. Refine again with --force, or use another --out.") from error
-    if interrupted:
-        return False
-    RunFolder(folder).require(chosen.config.to_dict())
+    folder.require(chosen.config.to_dict())
     if chosen.verify and "stress" not in metrics:
-        raise ConfigError(f"the run in {folder} was made without --verify. Use another --out, or --force.")
+        raise ConfigError(
+            f"the run in {folder.path} was made without --verify. Leave it out, use another --out, or --force."
+        )
     return True
 
 

@@ -100,8 +100,8 @@ def _summary(shape: SdfAsset) -> str:
 
 def _write_mesh(shape: SdfAsset, out: Path) -> str:
     from genmf_mi.core.files import atomic
-    from genmf_mi.mesh import topology
     from genmf_mi.fabrication.glb import write_glb
+    from genmf_mi.mesh import topology
 
     mesh = shape.as_mesh()
     rgb = mesh.albedo.colours if shape.textured else None

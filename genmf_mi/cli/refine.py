@@ -129,8 +129,6 @@ def print_result(metrics: dict, out: Path) -> None:
         f"{'component' if solid['bodies'] == 1 else 'components'}, "
         f"{solid['self_intersections']} self-intersections; {metrics['seconds']['total']:.0f} s"
     )
-    if reason := metrics.get("stress_stage_left_out"):
-        print(f"no stress stage: {reason}")
     if metrics["interrupted"]:
         print(f"interrupted after {metrics['iterations']} iterations: the part so far. Continue with --resume.")
     print(f"print {out / 'refined.3mf'}, look at {out / 'report.html'}")

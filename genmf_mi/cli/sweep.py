@@ -37,13 +37,14 @@ def sweep(
     from genmf_mi.cli.progress import TerminalProgress
     from genmf_mi.cli.tables import print_table
     from genmf_mi.pipeline import sweep as pipeline
+    from genmf_mi.report.sweep import sweep_table
 
     out = out or Path("runs") / f"{Path(asset).stem}-sweep"
     with TerminalProgress(quiet=chosen.quiet, shown=SHOWN) as progress:
         result = pipeline.sweep(
             asset, weights, chosen.config, out=out, force=force, progress=progress, **chosen.options()
         )
-    print_table(f"{result['asset']}: appearance, and thermal stress by finite elements in MPa", pipeline.table(result))
+    print_table(f"{result['asset']}: appearance, and thermal stress by finite elements in MPa", sweep_table(result))
     print(f"numbers in {out / pipeline.SUMMARY}, picture in {out / pipeline.PICTURE}")
     return 0
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from generator_files import of_instantmesh, write
 from toys import egg, painted
 
 from genmf_mi.assets import asset
@@ -16,19 +17,6 @@ from genmf_mi.cli import main as cli
 from genmf_mi.mesh import measures
 
 pytestmark = pytest.mark.usefixtures("workplace")
-
-
-def instantmesh_file() -> str:
-    """A ball in InstantMesh's form: positive inside, with offsets of the grid's vertices and FlexiCubes weights."""
-    n, random = 24, np.random.default_rng(0)
-    x, y, z = np.meshgrid(*3 * [(np.arange(n + 1) / n - 0.5) * 2.1], indexing="ij")
-    np.savez(
-        "chair.npz",
-        sdf=(5 * (0.7 - np.sqrt(x**2 + 2 * y**2 + z**2))).reshape(1, -1, 1).astype(np.float32),
-        deformation=random.standard_normal((1, (n + 1) ** 3, 3), dtype=np.float32),
-        weights=0.1 * random.standard_normal((1, n**3, 21), dtype=np.float32),
-    )
-    return "chair.npz"
 
 
 def convert(*arguments: str) -> int:
@@ -78,7 +66,8 @@ class TestFromMeshes:
 class TestFromGenerators:
     def test_instantmesh_to_a_mesh(self, capsys):
         """Turned upright and in its units, as the file's own surface."""
-        assert convert(instantmesh_file(), "--out", "chair.glb") == 0
+        write(Path("chair.npz"), of_instantmesh())
+        assert convert("chair.npz", "--out", "chair.glb") == 0
         assert "closed, 1 component" in capsys.readouterr().out
         vertices, faces = files.load("chair.npz").surface(training=True)
         found = asset.load("chair.glb")
@@ -88,7 +77,8 @@ class TestFromGenerators:
 
     def test_with_the_colours_of_a_mesh(self):
         """To an SDF file that holds the colours too."""
-        assert convert(instantmesh_file(), "--out", "chair.glb") == 0
+        write(Path("chair.npz"), of_instantmesh())
+        assert convert("chair.npz", "--out", "chair.glb") == 0
         mesh = trimesh.load_mesh("chair.glb", process=False)
         colours = np.tile(np.uint8([200, 40, 90, 255]), (len(mesh.vertices), 1))
         mesh.visual = trimesh.visual.ColorVisuals(vertex_colors=colours)

@@ -12,7 +12,7 @@ from toys import painted
 from genmf_mi.cli import main as cli
 from genmf_mi.cli.progress import TerminalProgress
 from genmf_mi.core.config import PRESETS, RefineConfig
-from genmf_mi.pipeline import displacement, evaluation, refinement
+from genmf_mi.pipeline import displacement, evaluator, refinement
 from genmf_mi.pipeline.run_folder import CHECKPOINT
 from genmf_mi.render import target
 
@@ -112,8 +112,8 @@ SMALL = ["--iterations", "3", "--resolution", "96", "--max-faces", "3000", "--ed
 class TestWholeRun:
     @pytest.fixture(autouse=True)
     def _small(self, monkeypatch):
-        monkeypatch.setattr(evaluation, "RESOLUTION", 64)
-        monkeypatch.setattr(evaluation, "SAMPLES", 4)
+        monkeypatch.setattr(evaluator, "RESOLUTION", 64)
+        monkeypatch.setattr(evaluator, "SAMPLES", 4)
         monkeypatch.setattr(target, "FINEST", 12_000)
         monkeypatch.setattr(displacement, "AMPLITUDES", (0.5,))
 

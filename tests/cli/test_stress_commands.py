@@ -19,7 +19,7 @@ from genmf_mi.core.errors import AssetError, OutputError, SolidError
 from genmf_mi.stress.data import dataset as data
 from genmf_mi.stress.fem import elasticity
 from genmf_mi.stress.fem.protocol import Protocol
-from genmf_mi.stress.fem.simulation import Settings
+from genmf_mi.stress.fem.settings import Settings
 from genmf_mi.stress.model import predictor
 from genmf_mi.stress.report import output, picture
 from genmf_mi.stress.training import trainer

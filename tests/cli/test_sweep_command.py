@@ -12,6 +12,7 @@ from genmf_mi.cli import main as cli
 from genmf_mi.core.config import PRESETS
 from genmf_mi.core.progress import Progress
 from genmf_mi.pipeline import sweep
+from genmf_mi.report import sweep as report
 from genmf_mi.report.tables import TextTable
 
 pytestmark = pytest.mark.usefixtures("workplace")
@@ -29,7 +30,7 @@ def calls(monkeypatch) -> list[tuple]:
         return {"asset": "toy"}
 
     monkeypatch.setattr(sweep, "sweep", fake)
-    monkeypatch.setattr(sweep, "table", lambda result: TextTable(["weight", "LPIPS"], [["0", "0.1234"]]))
+    monkeypatch.setattr(report, "sweep_table", lambda result: TextTable(["weight", "LPIPS"], [["0", "0.1234"]]))
     return calls
 
 

@@ -38,7 +38,9 @@ def shape() -> SdfAsset:
     """A striped egg on 33³ samples, 3.3 mm apart on a part of 100 mm."""
     ball = trimesh.creation.icosphere(4)
     vertices = np.array(ball.vertices) * (1, 0.8, 0.9)
-    return sdf_from_mesh(Asset.from_arrays("toy", vertices, np.array(ball.faces), colours=stripes(vertices)), samples=33)
+    return sdf_from_mesh(
+        Asset.from_arrays("toy", vertices, np.array(ball.faces), colours=stripes(vertices)), samples=33
+    )
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -140,7 +142,9 @@ class TestSources:
     def test_sample_as_field(self, shape, monkeypatch):
         """NAME_sdf is the sample, converted, with the sample's scene."""
         given = []
-        monkeypatch.setattr("genmf_mi.assets.generators.from_mesh.sdf_from_mesh", lambda asset: given.append(asset) or shape)
+        monkeypatch.setattr(
+            "genmf_mi.assets.generators.from_mesh.sdf_from_mesh", lambda asset: given.append(asset) or shape
+        )
         made = sources.load("leaf_sdf")
         assert isinstance(made, SdfAsset) and made.name == "leaf_sdf" and made.phi is shape.phi
         assert [type(mesh) for mesh in given] == [Asset] and given[0].name == "leaf" and given[0].textured

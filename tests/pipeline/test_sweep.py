@@ -18,6 +18,7 @@ from genmf_mi.core.progress import Progress
 from genmf_mi.pipeline import run_folder, sweep
 from genmf_mi.pipeline.run_folder import CHECKPOINT, METRICS
 from genmf_mi.report import tables
+from genmf_mi.report.sweep import sweep_table
 
 pytestmark = pytest.mark.usefixtures("workplace")
 
@@ -162,7 +163,7 @@ class TestNumbers:
             assert run["remains"]["surface_band_p99_9"] is None
 
     def test_table(self, found) -> None:
-        cells = sweep.table(found)
+        cells = sweep_table(found)
         assert all(len(row) == len(cells.columns) for row in cells.rows)
         assert [row[0] for row in cells.rows] == ["before", "0", "1", "3"]
         assert cells.rows[2] == ["1", "0.2000", "50 %", "2.400 ×0.86", "0.420 ×0.95", "0.600 ×0.86", "50 %"]

@@ -43,7 +43,7 @@ def compare(
         force: Replace existing results.
     """
     from genmf_mi.cli.stress.shared import caption, simulate_file, warn_of_losses
-    from genmf_mi.stress.fem.simulation import Settings
+    from genmf_mi.stress.fem.settings import Settings
     from genmf_mi.stress.fem.statistics import summary
     from genmf_mi.stress.report import output
     from genmf_mi.stress.report.comparison import layer_ratio, ratios, relative_size
@@ -63,8 +63,11 @@ def compare(
         if picture:
             from genmf_mi.stress.report.picture import write_picture
 
-            rows = [(f"{path.stem}: {caption(shapes[key])}", s) for path, key, s in ((a, "a", before), (b, "b", after))]
-            write_picture(out / "compare.png", rows, f"{a.stem} and {b.stem}")
+            write_picture(
+                out / "compare.png",
+                [(f"{a.stem}: {caption(shapes['a'])}", before), (f"{b.stem}: {caption(shapes['b'])}", after)],
+                f"{a.stem} and {b.stem}",
+            )
         output.write_json(out / "compare.json", {**shapes, "ratio": ratio})
         for path, key in ((a, "a"), (b, "b")):
             warn_of_losses(path, shapes[key], progress)

@@ -36,7 +36,7 @@ def dataset(
         retry_failed: Try failed samples again.
     """
     from genmf_mi.stress.data.dataset import DatasetSettings, build, meshes_in
-    from genmf_mi.stress.fem.simulation import Settings
+    from genmf_mi.stress.fem.settings import Settings
 
     pairs = dict(pair.split("=", 1) for pair in same if "=" in pair)
     if len(pairs) != len(same):

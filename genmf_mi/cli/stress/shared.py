@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 from genmf_mi.core.progress import Progress
 
 if TYPE_CHECKING:
-    from genmf_mi.stress.fem.simulation import Settings, Simulation
+    from genmf_mi.stress.fem.settings import Settings
+    from genmf_mi.stress.fem.simulation import Simulation
 
 THIN = 0.01
 """Share of the surface that may be thinner than two grid cells without a warning."""
@@ -16,11 +17,11 @@ THIN = 0.01
 
 def simulate_file(path: Path, settings: Settings, progress: Progress) -> Simulation:
     """Simulate a surface mesh, or a volume mesh as it is. Raises as :func:`genmf_mi.stress.fem.simulation.simulate`."""
-    from genmf_mi.stress.fem import simulation, surface, tetrahedra
+    from genmf_mi.stress.fem import simulation, surface, volume_mesh
 
     progress.stage("reading")
-    if surface.is_volume(path):
-        return simulation.simulate_tetrahedra(tetrahedra.read(path), settings, progress=progress)
+    if volume_mesh.is_volume_mesh(path):
+        return simulation.simulate_tetrahedra(volume_mesh.read(path), settings, progress=progress)
     return simulation.simulate(*surface.load(path), settings, progress=progress)
 
 

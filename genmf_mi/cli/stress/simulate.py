@@ -37,7 +37,7 @@ def simulate(
         force: Replace existing results.
     """
     from genmf_mi.cli.stress.shared import caption, simulate_file, warn_of_losses
-    from genmf_mi.stress.fem.simulation import Settings
+    from genmf_mi.stress.fem.settings import Settings
     from genmf_mi.stress.fem.statistics import summary
     from genmf_mi.stress.report import output
 

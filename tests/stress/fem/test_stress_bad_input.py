@@ -59,7 +59,7 @@ def test_bad_surfaces() -> None:
 def test_a_solve_that_does_not_converge_gives_no_field() -> None:
     matrix = sp.diags([1.0, 1e-9, -1.0]).tocsr()
     with pytest.raises(SolveError, match="did not converge"):
-        solve_spd(matrix, np.ones(3), None, 1e-9, most=20)
+        solve_spd(matrix, np.ones(3), None, 1e-9, max_iterations=20)
 
 
 def test_full_disk_leaves_no_half_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
