@@ -8,6 +8,7 @@ from benchmarks import record
 from benchmarks.inputs import Inputs
 from benchmarks.record import cpu_seconds
 from genmf_mi.core.memory import peak_gb
+from genmf_mi.stress.fem.simulation import Settings
 from genmf_mi.stress.model import compute
 from genmf_mi.stress.model.network import PRESETS, Architecture, StressNetwork
 
@@ -56,11 +57,11 @@ def row(architecture: Architecture, shape: tuple[int, int, int], bfloat16: bool,
         phi = phi.contiguous(memory_format=torch.channels_last_3d)
 
     def forward_and_backward() -> None:
-        compute.log_stress(network, phi, bfloat16, coarse).mean().backward()
+        compute.log_stress(network, phi, bfloat16, coarse, Settings()).mean().backward()
 
     @torch.no_grad()
     def forward() -> None:
-        compute.log_stress(network, phi, bfloat16, coarse)
+        compute.log_stress(network, phi, bfloat16, coarse, Settings())
 
     result = {
         "parameters": sum(p.numel() for p in network.parameters()),

@@ -59,9 +59,9 @@ class TestRefinements:
         printed = capsys.readouterr().out
         assert {"refined.3mf", "before_after.png", "report.html"} <= {path.name for path in out.iterdir()}
         ssim = {name: result.metrics[name]["ssim"] for name in ("before", "displacement", "after")}
-        assert ssim == pytest.approx({"before": 0.381, "displacement": 0.473, "after": 0.391}, abs=0.02)
+        assert ssim == pytest.approx({"before": 0.381, "displacement": 0.433, "after": 0.433}, abs=0.03)
         assert 0.7 < result.metrics["relief_mm"]["max"] <= 2.0
-        assert "refining ..." in printed and "SSIM 0.3" in printed
+        assert "refining ..." in printed and "SSIM 0.4" in printed
 
     def test_refine_field(self, two_views, capsys):
         result = load("refine_field").main(out=None, samples=33, config=SMALL, scene=two_views)
@@ -71,11 +71,11 @@ class TestRefinements:
         assert "closed: True, bodies: 1" in capsys.readouterr().out
 
     def test_custom_loss(self, tmp_path, two_views, capsys):
-        """0.139 and 0.200 mm without the term, 0.098 and 0.188 mm with it."""
+        """0.442 mm in the foot and 0.764 mm above it without the term, 0.248 and 0.697 mm with it."""
         asset, main = painted(tmp_path / "egg.ply"), load("custom_loss").main
         config = replace(SMALL, iterations=20)
         foot, above = main(asset, weight=0.0, config=config, scene=two_views)
         flat_foot, above_it = main(asset, weight=100.0, config=config, scene=two_views)
-        assert foot == pytest.approx(0.139, abs=0.02) and flat_foot < 0.8 * foot
-        assert above_it > 0.85 * above
-        assert "the term is 0." in capsys.readouterr().out
+        assert (foot, above) == pytest.approx((0.442, 0.764), rel=0.1)
+        assert (flat_foot, above_it) == pytest.approx((0.248, 0.697), rel=0.15)
+        assert "the term is 1.0" in capsys.readouterr().out
