@@ -16,7 +16,7 @@ make lint                       ruff, import contract, types
 make coverage                   tests with coverage of lines and branches
 make bench                      what makes which file of benchmarks/results; ARGS="NAME" or ARGS="--all ASSETS_DIR" to run it
 make samples                    write the bundled samples as GLB files
-make doctor                     what is there, what is missing, how to mend it
+make doctor                     what is there, what is missing, how to fix it
 make clean                      remove .venv and caches; your runs stay
 
 PYTHON=/path/to/python3.11      the interpreter for .venv (3.11 or newer; found by itself if not given)

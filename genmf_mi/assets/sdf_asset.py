@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -48,7 +48,7 @@ class SdfAsset:
     half: float = 1.0
     coloured: Asset | None = None
     source: Path | None = None
-    report: dict = field(default_factory=dict)
+    report: dict[str, Any] = field(default_factory=dict[str, Any])
 
     def __post_init__(self) -> None:
         m, where = len(self.phi) if np.ndim(self.phi) else 0, self.source or self.name

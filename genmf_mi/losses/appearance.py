@@ -2,7 +2,7 @@
 
 All images are torch tensors ``[B,1,H,W]`` in 0..1, sRGB-encoded (:func:`genmf_mi.core.colour.to_srgb`); masks
 ``[B,1,H,W]`` in 0..1. Statistics and averages are taken inside the mask, each image of the batch on its own. Functions
-return a scalar, the mean over the batch, unless they say otherwise.
+return a scalar, the mean over the batch, unless stated otherwise.
 """
 
 from __future__ import annotations
@@ -92,6 +92,11 @@ def ssim_loss(image: GreyImages, reference: GreyImages, mask: GreyImages) -> Sca
     covariance = unbiased * (mean(image * reference) - a * b)
     similarity = (2 * a * b + c1) * (2 * covariance + c2) / ((a * a + b * b + c1) * (variance_a + variance_b + c2))
     return masked_mean(1 - similarity, mask)
+
+
+def gradient_ssim_loss(image: GreyImages, reference: GreyImages, mask: GreyImages) -> Scalar:
+    """:func:`ssim_loss` of the gradient magnitudes. Not one of GenMF's terms."""
+    return ssim_loss(gradient_magnitude(image), gradient_magnitude(reference), mask)
 
 
 def gradient_magnitude(grey: GreyImages) -> GreyImages:

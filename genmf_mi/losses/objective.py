@@ -37,9 +37,7 @@ def terms(part: Buffers, reference: Buffers, weights: Weights) -> dict[str, Tens
         "grey_l1": lambda: appearance.grey_l1(aligned, target, mask),
         "grey_lpips": lambda: perceptual.lpips(aligned, target).mean(),
         "ssim": lambda: appearance.ssim_loss(aligned, target, mask),
-        "gradient_ssim": lambda: appearance.ssim_loss(
-            appearance.gradient_magnitude(aligned), appearance.gradient_magnitude(target), mask
-        ),
+        "gradient_ssim": lambda: appearance.gradient_ssim_loss(aligned, target, mask),
         "gradient": lambda: appearance.gradient_match(aligned, target, mask),
         "gradient_sign": lambda: appearance.gradient_sign_penalty(aligned, target, mask),
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import manifold3d
 import numpy as np
@@ -41,7 +42,7 @@ class Solid:
 
     vertices: np.ndarray
     faces: np.ndarray
-    report: dict = field(default_factory=dict)
+    report: dict[str, Any] = field(default_factory=dict[str, Any])
 
 
 def solidify(name: str, vertices: np.ndarray, faces: np.ndarray) -> Solid:

@@ -66,4 +66,5 @@ class Checkpoint:
         stage_one = values["stage_one"]
         if not (type(values["iteration"]) is int and type(values["optimiser"]) is dict):
             raise TypeError("not a checkpoint")
-        return cls(**{**values, "stage_one": None if stage_one is None else cls._from_dict(stage_one)})
+        fields: dict[str, Any] = {**values, "stage_one": None if stage_one is None else cls._from_dict(stage_one)}
+        return cls(**fields)

@@ -40,7 +40,7 @@ def heights(problem: RefinementProblem, amplitude: float) -> np.ndarray:
         return np.zeros(len(brightness))
     brightness = np.clip((brightness - low) / (high - low), 0, 1)
     share = np.clip(2 * amplitude * (brightness - np.median(brightness)), -1, 1)
-    return np.where(share > 0, share * problem.bounds.outward, share * problem.bounds.inward)
+    return share * np.where(share > 0, problem.bounds.outward, problem.bounds.inward)
 
 
 def initial_heights(problem: RefinementProblem, displacement: Displacement) -> np.ndarray:
@@ -55,7 +55,8 @@ def initial_heights(problem: RefinementProblem, displacement: Displacement) -> n
 def best_displacement(problem: RefinementProblem, evaluator: Evaluator, progress: Progress) -> Displacement:
     """The displacement with the lowest LPIPS (AlexNet) over the evaluator's views."""
     progress.stage("displacing by brightness")
-    surface, images = problem.surface, {}
+    surface = problem.surface
+    images: dict[float, torch.Tensor] = {}
     for amplitude in AMPLITUDES:
         vertices = surface.vertices + heights(problem, amplitude)[:, None] * surface.normals
         images[amplitude] = evaluator.aligned(torch.as_tensor(vertices, dtype=torch.float32, device=evaluator.device))

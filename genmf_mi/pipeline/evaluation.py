@@ -70,7 +70,7 @@ def evaluate(
         pair = problem.evaluation
         for group, views in ((metrics, pair.reference.views), (metrics["unseen"], unseen_views(pair.reference.views))):
             score = Evaluator(pair.reference, pair.part, views, networks)
-            images = {}
+            images: dict[str, torch.Tensor] = {}
             for name, shown, points in (("before", pair.part, problem.surface.vertices), ("after", after, vertices)):
                 score.scene = shown
                 images[name] = score.aligned(torch.as_tensor(points, dtype=torch.float32, device=score.device))

@@ -9,9 +9,9 @@ iteration uses.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -34,7 +34,7 @@ Name = TypeVar("Name")
 def unseen_views(views: tuple[View, ...]) -> tuple[View, ...]:
     """Half-way between the standard views in azimuth, at other elevations, under the two unseen lightings."""
     around = sorted(views, key=lambda v: v.azimuth % 360)
-    between = []
+    between: list[View] = []
     for i, (a, b) in enumerate(zip(around, [*around[1:], around[0]], strict=True)):
         azimuth = a.azimuth + (360 if a is b else (b.azimuth - a.azimuth) % 360) / 2
         between.append(View(azimuth % 360, (5.0, 35.0)[i % 2], UNSEEN_TURNS[2 * i // len(around)]))
@@ -121,11 +121,14 @@ class Evaluator:
 def ssim(image: Tensor, reference: Tensor, mask: Tensor) -> tuple[float, float]:
     """SSIM (Wang et al. 2004, scikit-image's 7 × 7 window, data range 1) over the frame and over the mask, means over
     views; all ``[B,1,H,W]``."""
-    from skimage.metrics import structural_similarity
+    from skimage import metrics
 
-    frame, inside = [], []
+    untyped: Any = metrics
+    similarity: Callable[..., tuple[float, np.ndarray]] = untyped.structural_similarity
+    frame: list[float] = []
+    inside: list[float] = []
     for a, b, m in zip(image[:, 0].cpu().numpy(), reference[:, 0].cpu().numpy(), mask[:, 0].cpu().numpy(), strict=True):
-        mean, local = structural_similarity(a, b, data_range=1.0, full=True)
+        mean, local = similarity(a, b, data_range=1.0, full=True)
         frame.append(mean)
-        inside.append((local * m).sum() / max(m.sum(), 1e-6))
+        inside.append(float((local * m).sum() / max(m.sum(), 1e-6)))
     return float(np.mean(frame)), float(np.mean(inside))

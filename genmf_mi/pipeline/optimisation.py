@@ -56,7 +56,7 @@ class Optimisation:
     stress: StressStage | None = None
     extra_terms: ExtraTerms | None = None
     iteration: int = 0
-    history: list[dict[str, Any]] = field(default_factory=list)
+    history: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
     stage_one: Checkpoint | None = None
 
     def __post_init__(self) -> None:
@@ -159,7 +159,7 @@ def step(optimisation: Optimisation) -> dict[str, float]:
     if stress and stress.begun:
         terms["stress"], weights["stress"], figures = stress.term(geometry, parameterization.parameters[0], optimiser)
     loss = objective.weighted_sum(terms, weights)
-    loss.backward()
+    loss.backward()  # pyright: ignore[reportUnknownMemberType]
 
     factors = parameterization.learning_rates(index / config.iterations)
     for group, factor in zip(optimiser.param_groups, factors, strict=True):
@@ -180,7 +180,7 @@ def sample_view(problem: RefinementProblem, config: RefineConfig, index: int) ->
     moved at random, with the lights turned at random. Pictures are of one view under one light and stay as they are."""
     views = problem.training.reference.views
     order = np.random.default_rng([config.seed, index // len(views)]).permutation(len(views))
-    view = views[order[index % len(views)]]
+    view = views[int(order[index % len(views)])]
     if problem.training.reference.pictures:
         return view
     rng = np.random.default_rng([config.seed, index, 1])

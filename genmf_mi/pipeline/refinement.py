@@ -25,13 +25,13 @@ from genmf_mi.core.progress import Progress
 from genmf_mi.core.timer import Timer
 from genmf_mi.losses import lpips_weights
 from genmf_mi.mesh.self_intersections import self_intersections
+from genmf_mi.pipeline import stress_stage
 from genmf_mi.pipeline.displacement import best_displacement, initial_heights
 from genmf_mi.pipeline.evaluator import Evaluator
 from genmf_mi.pipeline.optimisation import ExtraTerms, Optimisation, iterations, optimise
 from genmf_mi.pipeline.problem import build_problem, parameterize
 from genmf_mi.pipeline.results import Outcome, Result, conclude
 from genmf_mi.pipeline.run_folder import RunFolder
-from genmf_mi.pipeline.stress_stage import StressStage, too_thin
 from genmf_mi.render import scene_file, variant
 from genmf_mi.stress.report import verification
 
@@ -71,7 +71,7 @@ def refine(
         force, resume: replace a run in ``out``, or continue an interrupted one.
         save_exr: also write the image buffers of every shape and view.
         extra_terms: further terms of the loss, see :data:`genmf_mi.pipeline.optimisation.ExtraTerms`.
-        progress: is told what is being done.
+        progress: reports what is being done.
 
     Raises:
         GenmfError: what the command line prints; see :mod:`genmf_mi.core.errors`.
@@ -98,10 +98,7 @@ def refine(
         parameterization = parameterize(problem, config, device)
         timer.lap("displacement")
 
-        left_out = too_thin(problem) if config.stress_stage and config.method == "relief" else ""
-        if left_out:
-            progress.warn(f"no stress stage: {left_out}")
-        stress = StressStage(config, device, progress) if config.stress_stage and not left_out else None
+        stress, left_out = stress_stage.plan(problem, config, device, progress)
         optimisation = Optimisation(problem, config, parameterization, stress, extra_terms)
         if config.method == "relief":
             parameterization.set_heights(initial_heights(problem, displacement))

@@ -26,8 +26,21 @@ the grid loses seem free of stress, so that they would be thinned still more."""
 def too_thin(problem: RefinementProblem) -> str:
     """Why a part cannot have a stress stage, as part of a sentence; empty if it can."""
     surface = problem.surface.vertices, problem.surface.faces
-    share = distance.lost_fraction(*surface, distance.signed_distance(*surface, Settings().grid))
+    share = distance.thin_fraction(*surface, distance.signed_distance(*surface, Settings().grid))
     return f"walls are too thin to predict their stress under {share:.0%} of the surface" * (share > LARGEST_THIN_SHARE)
+
+
+def plan(
+    problem: RefinementProblem, config: RefineConfig, device: str, progress: Progress
+) -> tuple[StressStage | None, str]:
+    """The stage that a run will have, or else None and why the part cannot have the one that was asked for."""
+    if not config.stress_stage or config.method != "relief":
+        return None, ""
+    left_out = too_thin(problem)
+    if left_out:
+        progress.warn(f"no stress stage: {left_out}")
+        return None, left_out
+    return StressStage(config, device, progress), ""
 
 
 class StressStage:

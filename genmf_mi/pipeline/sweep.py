@@ -101,7 +101,7 @@ def summarise(runs: dict[str, dict[str, Any]]) -> dict[str, Any]:
     """See :func:`sweep`; ``runs`` by folder, that without the stress stage first, each with weight and metrics."""
     without = next(iter(runs.values()))["metrics"]
     before, unconstrained = (without["stress"]["shapes"][name] for name in ("before", "after"))
-    rows = []
+    rows: list[dict[str, Any]] = []
     for folder, run in runs.items():
         metrics = run["metrics"]
         stress = metrics["stress"]["shapes"]["after"]

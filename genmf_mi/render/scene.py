@@ -191,7 +191,7 @@ def _load_file(xml: Path, settings: dict[str, str]) -> MitsubaScene:
     try:
         return mi.load_file(str(xml), **settings)
     except Exception as error:  # Mitsuba reports every defect of a file as RuntimeError
-        raise SceneError(f"Mitsuba cannot load {xml}: {one_line(error)} Mend it, or {START}") from error
+        raise SceneError(f"Mitsuba cannot load {xml}: {one_line(error)} Fix it, or {START}") from error
 
 
 def _shape_and_sensor(scene: MitsubaScene, xml: Path) -> tuple[MitsubaObject, MitsubaObject]:

@@ -75,7 +75,7 @@ def _collect_defaults(path: Path, xml: Path, parents: tuple[Path, ...], defaults
     except FileNotFoundError as error:
         raise SceneError(f"there is no scene file {path}. Check the spelling, or {START}") from error
     except (ElementTree.ParseError, OSError, UnicodeDecodeError) as error:
-        raise SceneError(f"{path} is not readable as XML: {one_line(error)} Mend it, or {START}") from error
+        raise SceneError(f"{path} is not readable as XML: {one_line(error)} Fix it, or {START}") from error
     for element in root.iter():
         if element.tag == "default":
             defaults.setdefault(element.get("name", ""), element.get("value", ""))
@@ -84,9 +84,9 @@ def _collect_defaults(path: Path, xml: Path, parents: tuple[Path, ...], defaults
             folders = (path.parent, xml.parent, Path.cwd(), bundled_folder())
             included = next((folder / name for folder in folders if name and (folder / name).is_file()), None)
             if included is None:
-                raise SceneError(f'{path} includes a file "{name}", which does not exist. Mend it, or {START}')
+                raise SceneError(f'{path} includes a file "{name}", which does not exist. Fix it, or {START}')
             if included.resolve() in (*parents, path.resolve()):
-                raise SceneError(f"{path} includes {included}, which includes it in turn. Mend it, or {START}")
+                raise SceneError(f"{path} includes {included}, which includes it in turn. Fix it, or {START}")
             _collect_defaults(included, xml, (*parents, path.resolve()), defaults)
 
 

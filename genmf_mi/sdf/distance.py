@@ -187,7 +187,7 @@ def sample(phi: np.ndarray, points: np.ndarray) -> np.ndarray:
     return ndimage.map_coordinates(phi, (np.asarray(points).T + 1.0) * ((n - 1) / 2), order=1, mode="nearest")
 
 
-def lost_fraction(vertices: np.ndarray, faces: np.ndarray, phi: np.ndarray, samples: int = 4000) -> float:
+def thin_fraction(vertices: np.ndarray, faces: np.ndarray, phi: np.ndarray, samples: int = 4000) -> float:
     """Fraction of the surface where the solid is thinner than two grid cells and may be lost on this grid.
 
     Judged one cell below the surface, along the inward normal: Φ should be about minus one cell there.

@@ -42,7 +42,7 @@ class TestObjective:
             "grey_l1": appearance.grey_l1(*images, mask),
             "ssim": appearance.ssim_loss(*images, mask),
             "gradient": appearance.gradient_match(*images, mask),
-            "gradient_ssim": appearance.ssim_loss(*map(appearance.gradient_magnitude, images), mask),
+            "gradient_ssim": appearance.gradient_ssim_loss(*images, mask),
             "gradient_sign": appearance.gradient_sign_penalty(*images, mask),
             "depth_smoothness": geometry.depth_smoothness(part.depth, mask),
             "normal_smoothness": geometry.normal_smoothness(part.normal, mask),

@@ -83,7 +83,7 @@ class TestStressStage:
 
     def test_no_stage_for_thin_walls(self, toy, two_views, twin, monkeypatch):
         """It says so, and gives the part without the stage."""
-        monkeypatch.setattr("genmf_mi.sdf.distance.lost_fraction", lambda *surface: 0.2)
+        monkeypatch.setattr("genmf_mi.sdf.distance.thin_fraction", lambda *surface: 0.2)
         recorder = Recorder()
         result = genmf_mi.refine(toy, self.CONFIG, scene=two_views, progress=recorder)
         assert any("20%" in warning for warning in recorder.warnings)

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from genmf_mi.core.errors import SolidError
-from genmf_mi.sdf.distance import axis, lost_fraction, sample, signed_distance
+from genmf_mi.sdf.distance import axis, sample, signed_distance, thin_fraction
 
 
 def brute_force(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -93,6 +93,6 @@ def test_sample_is_trilinear() -> None:
 
 def test_thinness_is_reported() -> None:
     thick = trimesh.creation.box((1.9, 0.8, 0.8))
-    assert lost_fraction(thick.vertices, thick.faces, signed_distance(thick.vertices, thick.faces, 65)) < 0.08
+    assert thin_fraction(thick.vertices, thick.faces, signed_distance(thick.vertices, thick.faces, 65)) < 0.08
     thin = trimesh.creation.box((1.9, 0.04, 1.9))
-    assert lost_fraction(thin.vertices, thin.faces, signed_distance(thin.vertices, thin.faces, 65)) > 0.9
+    assert thin_fraction(thin.vertices, thin.faces, signed_distance(thin.vertices, thin.faces, 65)) > 0.9

@@ -7,7 +7,7 @@ from genmf_mi.assets.sdf_asset import SdfAsset
 from genmf_mi.core.frame import Frame
 from genmf_mi.core.progress import Progress
 from genmf_mi.mesh.solid import solidify
-from genmf_mi.sdf.distance import lost_fraction, signed_distance
+from genmf_mi.sdf.distance import signed_distance, thin_fraction
 
 
 def sdf_from_mesh(asset: Asset, samples: int = 129, progress: Progress | None = None) -> SdfAsset:
@@ -34,5 +34,5 @@ def sdf_from_mesh(asset: Asset, samples: int = 129, progress: Progress | None = 
         half=1 / frame.scale,
         coloured=asset,
         source=asset.source,
-        report=solid.report | {"lost_fraction": lost_fraction(vertices, solid.faces, phi)},
+        report=solid.report | {"lost_fraction": thin_fraction(vertices, solid.faces, phi)},
     )

@@ -170,7 +170,7 @@ def make_sample(index: int, settings: DatasetSettings) -> tuple[dict[str, np.nda
     vertices, faces = recipe.surface_of(what, settings.seed, simulation.size_mm, simulation.grid)
     timer.lap("shape")
     layers, phi = codec.pack_distance(distance.signed_distance(vertices, faces, simulation.grid))
-    thin = distance.lost_fraction(vertices, faces, phi.astype(np.float32))
+    thin = distance.thin_fraction(vertices, faces, phi.astype(np.float32))
     timer.lap("distance")
     recipe.check_thin(what, thin)
     frame = fem.frame_of(vertices, simulation.size_mm)

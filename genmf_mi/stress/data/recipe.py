@@ -98,7 +98,7 @@ def surface_of(what: Recipe, seed: int, size_mm: float, n: int) -> tuple[np.ndar
 
 
 def check_thin(what: Recipe, thin: float) -> None:
-    """Raises :class:`SolidError` for a shape that the grid cannot hold: see :func:`distance.lost_fraction`."""
+    """Raises :class:`SolidError` for a shape that the grid cannot hold: see :func:`distance.thin_fraction`."""
     if thin > MAX_THIN_FRACTION:
         raise SolidError(f"{what.shape}: thinner than two grid cells under {thin:.0%} of its surface.")
 

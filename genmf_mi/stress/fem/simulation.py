@@ -38,7 +38,7 @@ class Simulation:
 
     phi: Φ on the grid, float32 ``[n,n,n]``, normalised frame. mesh: the same cells in the normalised frame.
     dropped: volumes in mm³ of the components that were left out, as they do not hang together with the largest.
-    thin_fraction: of the surface, under which the body is too thin for the grid (:func:`distance.lost_fraction`).
+    thin_fraction: of the surface, under which the body is too thin for the grid (:func:`distance.thin_fraction`).
     seconds: wall time of each stage.
     """
 
@@ -75,7 +75,7 @@ def simulate(
         frame = frame_of(vertices, settings.size_mm)
         normalised = frame.normalise(vertices)
         phi = distance.signed_distance(normalised, faces, settings.grid)
-        thin_fraction = distance.lost_fraction(normalised, faces, phi)
+        thin_fraction = distance.thin_fraction(normalised, faces, phi)
     return simulate_distance(phi, frame, settings, thin_fraction=thin_fraction, timer=timer, progress=progress)
 
 

@@ -46,7 +46,7 @@ class Prediction:
     What writes or draws a :class:`genmf_mi.stress.fem.simulation.Simulation` takes it too.
 
     phi, von_mises: float32 ``[n,n,n]``, the latter in MPa and zero outside.
-    thin_fraction: of the surface, under which the body is too thin for the grid (:func:`distance.lost_fraction`).
+    thin_fraction: of the surface, under which the body is too thin for the grid (:func:`distance.thin_fraction`).
     warnings: why not to trust it, a sentence each.
     """
 
@@ -169,7 +169,7 @@ class Predictor:
         frame = frame_of(np.asarray(vertices, dtype=np.float64), self.settings.size_mm)
         normalised = frame.normalise(vertices)
         phi = distance.signed_distance(normalised, faces, self.settings.grid)
-        return self.predict_distance(phi, frame, distance.lost_fraction(normalised, faces, phi))
+        return self.predict_distance(phi, frame, distance.thin_fraction(normalised, faces, phi))
 
     def predict_distance(self, phi: np.ndarray, frame: Frame, thin_fraction: float = 0.0) -> Prediction:
         """The field of the body Φ < 0, ``phi [n,n,n]``; thin_fraction: see :class:`Prediction`.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,7 @@ _SAME_FRAME = 0.1
 centres of their bounding boxes do too."""
 
 
-def ratios(a: dict, b: dict) -> dict[str, float]:
+def ratios(a: dict[str, Any], b: dict[str, Any]) -> dict[str, float]:
     """B over A, of two summaries (:func:`genmf_mi.stress.fem.statistics.summary`)."""
     return {
         "mean": b["von_mises_mpa"]["mean"] / a["von_mises_mpa"]["mean"],

@@ -69,7 +69,9 @@ def verify(
     return result
 
 
-def effect(unconstrained: dict, after: dict) -> tuple[dict[str, float], dict[str, float | None]]:
+def effect(
+    unconstrained: dict[str, float], after: dict[str, float]
+) -> tuple[dict[str, float], dict[str, float | None]]:
     """``constrained`` and ``remains`` of :func:`verify`, from the ratios of either part over the one before."""
     names = [name for name in after if unconstrained[name] and after[name]]
     constrained = {name: after[name] / unconstrained[name] for name in names}
@@ -82,5 +84,5 @@ def effect(unconstrained: dict, after: dict) -> tuple[dict[str, float], dict[str
 def _simulated(vertices: np.ndarray, faces: np.ndarray, frame: Frame, settings: Settings) -> Simulation:
     """As :func:`genmf_mi.stress.fem.simulation.simulate`, of a surface that is in the normalised frame already."""
     phi = distance.signed_distance(vertices, faces, settings.grid)
-    thin_fraction = distance.lost_fraction(vertices, faces, phi)
+    thin_fraction = distance.thin_fraction(vertices, faces, phi)
     return simulate_distance(phi, frame, settings, thin_fraction=thin_fraction)
