@@ -109,9 +109,7 @@ def refine(
         timer.lap("optimise")
 
         names = () if interrupted or not verify else SHAPES if verify is True else tuple(verify)
-        simulated, unconstrained = verified(optimisation, state, names, progress)
-        if names:
-            timer.lap("verify")
+        simulated, unconstrained = verified(optimisation, state, names, progress, timer)
 
         progress.stage("checking for self-intersections")
         surface = parameterization.finish(state, self_intersections)
@@ -124,7 +122,7 @@ def refine(
 
 
 def verified(
-    optimisation: Optimisation, state: Any, names: Collection[str], progress: Progress
+    optimisation: Optimisation, state: Any, names: Collection[str], progress: Progress, timer: Timer
 ) -> tuple[dict[str, Any], tuple[np.ndarray, np.ndarray] | None]:
     """Simulate the part before, without the stress stage and after, as far as these are named.
 
@@ -141,7 +139,9 @@ def verified(
     shapes = {name: shape for name, shape in shapes.items() if name in names}
     if not shapes:
         return {}, unconstrained
-    return verification.verify(shapes, problem.frame, material=config.material, progress=progress), unconstrained
+    numbers = verification.verify(shapes, problem.frame, material=config.material, progress=progress)
+    timer.lap("verify")
+    return numbers, unconstrained
 
 
 def _without_stress(optimisation: Optimisation, progress: Progress) -> tuple[np.ndarray, np.ndarray]:
