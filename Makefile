@@ -5,11 +5,12 @@
 
 BIN := .venv/bin
 READY := .venv/ready
+TOOLS := .venv/tools
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check
 
 define MENU
 make refine ASSET=strawberry    refine a bundled sample or a file; OUT=DIR, ARGS="--size-mm 80 ..."
-make setup                      virtual environment in .venv, packages, LPIPS weights, LLVM
+make setup                      virtual environment in .venv, packages, tools for development, LPIPS weights, LLVM
 make check                      lint, then test: what must pass before a commit
 make test                       all tests; ARGS="-k NAME" for some
 make lint                       ruff, import contract, types
@@ -27,7 +28,7 @@ endef
 menu:
 	@: $(info $(MENU))
 
-setup: $(READY)
+setup: $(TOOLS)
 
 $(READY): setup.cfg constraints.txt
 	@for python in $(or $(PYTHON),python3.11 python3.12 python3.13 python3); do \
@@ -36,8 +37,12 @@ $(READY): setup.cfg constraints.txt
 	[ -n "$$python" ] || { echo "error: no Python 3.11 or newer with venv. Install one, or say PYTHON=/path/to/it" >&2; exit 2; }; \
 	echo "Setting up .venv with $$($$python --version); this takes a few minutes the first time"; \
 	$$python -m venv .venv
-	@$(PIP) --constraint constraints.txt $(PIP_ARGS) --editable '.[dev]'
+	@$(PIP) --constraint constraints.txt $(PIP_ARGS) --editable .
 	@$(BIN)/python -m genmf_mi doctor --fix
+	@touch $@
+
+$(TOOLS): $(READY)
+	@$(PIP) --constraint constraints.txt $(PIP_ARGS) --editable '.[dev]'
 	@touch $@
 
 named:
@@ -48,19 +53,19 @@ refine: named $(READY)
 
 check: lint test
 
-test: $(READY)
+test: $(TOOLS)
 	@$(BIN)/python -m pytest $(ARGS)
 
-lint: $(READY)
+lint: $(TOOLS)
 	@$(BIN)/ruff check --quiet .
 	@$(BIN)/ruff format --check --quiet . || { echo "error: not formatted. Run $(BIN)/ruff format ." >&2; exit 1; }
 	@report=$$($(BIN)/lint-imports --no-cache) || { echo "$$report"; exit 1; }
 	@$(BIN)/pyright --pythonpath $(BIN)/python --warnings
 
-coverage: $(READY)
+coverage: $(TOOLS)
 	@$(BIN)/python -m pytest --cov=genmf_mi --cov-branch --cov-report=term $(ARGS)
 
-bench: $(READY)
+bench: $(TOOLS)
 	@$(BIN)/python -m benchmarks $(ARGS)
 
 samples: $(READY)

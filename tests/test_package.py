@@ -72,7 +72,7 @@ def test_everything_required_is_pinned():
 
 def normalised(requirement: str) -> str:
     """The name in a requirement, as package indexes compare names."""
-    return re.split("[<>=]", requirement)[0].lower().replace("_", "-")
+    return re.split(r"[<>=\[]", requirement)[0].lower().replace("_", "-")
 
 
 def test_one_version():
