@@ -8,6 +8,7 @@ Without a file it takes an angle bracket. Neither Mitsuba nor a texture is neede
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 import numpy as np
 import trimesh
@@ -16,7 +17,9 @@ from genmf_mi.stress.fem import simulation, statistics, surface
 from genmf_mi.stress.model import predictor
 
 
-def main(path: str | None = None, *, size_mm: float = 100.0, edge_mm: float = 1.6) -> dict[str, dict[str, float]]:
+def main(
+    path: str | Path | None = None, *, size_mm: float = 100.0, edge_mm: float = 1.6
+) -> dict[str, dict[str, float]]:
     """Simulate and predict the stress of the solid in a file.
 
     Args:
