@@ -6,7 +6,7 @@ import copy
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from pickle import UnpicklingError
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor
@@ -62,9 +62,13 @@ class Checkpoint:
             raise OutputError(f"the checkpoint in {path.parent} is damaged. Start again with --force.") from error
 
     @classmethod
-    def _from_dict(cls, values: dict[str, Any]) -> Checkpoint:
-        stage_one = values["stage_one"]
-        if not (type(values["iteration"]) is int and type(values["optimiser"]) is dict):
+    def _from_dict(cls, values: Any) -> Checkpoint:
+        """``values`` as :meth:`save` wrote them, or whatever else a file may hold."""
+        if not isinstance(values, dict):
             raise TypeError("not a checkpoint")
-        fields: dict[str, Any] = {**values, "stage_one": None if stage_one is None else cls._from_dict(stage_one)}
-        return cls(**fields)
+        content = cast(dict[str, Any], values)
+        if not (isinstance(content["iteration"], int) and isinstance(content["optimiser"], dict)):
+            raise TypeError("not a checkpoint")
+        stage_one = content["stage_one"]
+        content["stage_one"] = None if stage_one is None else cls._from_dict(stage_one)
+        return cls(**content)

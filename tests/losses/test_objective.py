@@ -13,7 +13,8 @@ from genmf_mi.losses import appearance, geometry, objective
 from genmf_mi.render.bridge import Buffers
 
 OF_THE_GEOMETRY = {"sdf_tv", "l_dev", "flexi_weight_reg"}
-"""Terms that a field on a grid tells of itself, whatever is rendered."""
+"""Terms of a field on a grid, whatever is rendered."""
+OF_THE_STRESS = {"stress_mean", "stress_variance", "stress_band", "stress_peak"}
 
 
 def buffers(seed: int, size: int = 96, thin: bool = False) -> Buffers:
@@ -35,7 +36,7 @@ class TestObjective:
     def test_terms_are_the_functions_of_that_name(self):
         part, reference = buffers(0), buffers(10)
         values = objective.terms(part, reference, self.every)
-        assert set(values) == set(Weights.__dataclass_fields__) - OF_THE_GEOMETRY
+        assert set(values) == set(Weights.__dataclass_fields__) - OF_THE_GEOMETRY - OF_THE_STRESS
         mask = reference.coverage
         images = appearance.align_srgb(part.grey, part.coverage, reference.grey, mask)
         expected = {
@@ -58,14 +59,14 @@ class TestObjective:
 
     def test_terms_of_the_geometry(self):
         """Those with a weight are kept as they are."""
-        told = dict.fromkeys(OF_THE_GEOMETRY, torch.tensor(2.0))
-        assert objective.weighted(told, self.every) == told
-        assert set(objective.weighted(told, replace(self.every, l_dev=0.0))) == OF_THE_GEOMETRY - {"l_dev"}
+        terms = dict.fromkeys(OF_THE_GEOMETRY, torch.tensor(2.0))
+        assert objective.with_weight(terms, self.every) == terms
+        assert set(objective.with_weight(terms, replace(self.every, l_dev=0.0))) == OF_THE_GEOMETRY - {"l_dev"}
 
-    def test_total(self):
+    def test_weighted_sum(self):
         values = objective.terms(buffers(0), buffers(10), self.every)
         expected = sum(getattr(self.every, name) * value.item() for name, value in values.items())
-        assert objective.total(values, self.every).item() == pytest.approx(expected, rel=1e-5)
+        assert objective.weighted_sum(values, vars(self.every)).item() == pytest.approx(expected, rel=1e-5)
 
     def test_no_weight_no_term(self):
         weights = Weights(**dict.fromkeys(Weights.__dataclass_fields__, 0.0) | {"gradient_sign": 2.0})
@@ -86,7 +87,7 @@ class TestObjective:
         part, reference = buffers(0), buffers(10)
         for image in (part.grey, part.depth, part.normal):
             image.requires_grad_()
-        objective.total(objective.terms(part, reference, self.every), self.every).backward()
+        objective.weighted_sum(objective.terms(part, reference, self.every), vars(self.every)).backward()
         for image in (part.grey, part.depth, part.normal):
             assert image.grad.isfinite().all() and image.grad.abs().max() > 0
 

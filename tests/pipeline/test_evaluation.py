@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import genmf_mi.scenes
@@ -17,8 +17,8 @@ from genmf_mi.assets.asset import Asset
 from genmf_mi.core.config import RefineConfig
 from genmf_mi.pipeline import evaluation, evaluator
 from genmf_mi.pipeline.evaluator import UNSEEN_TURNS, Evaluator, ssim, unseen_views
-from genmf_mi.render import bridge, scene, target, variant
-from genmf_mi.render.scene import View
+from genmf_mi.render import bridge, scene, scene_file, target, variant
+from genmf_mi.render.scene import RenderSettings, View
 
 KEYS = {"ssim", "ssim_mask", "g_ssim", "g_ssim_mask", "lpips_alex", "lpips_mask_alex", "lpips_vgg", "lpips_mask_vgg",
         "g_lpips"}  # fmt: skip
@@ -56,12 +56,12 @@ def evaluators(tmp_path_factory, small, lpips_weights) -> dict[str, Evaluator]:
     vertices, faces = ball()
     made = {}
     for name, albedo in (("plain", lambda p, n: np.full((len(p), 3), np.float32(0.4))), ("striped", striped)):
-        folder, xml, options = tmp_path_factory.mktemp(name), scene.find("default"), {"radius": 0.95, "resolution": 96}
+        folder, xml, options = tmp_path_factory.mktemp(name), scene_file.find("default"), RenderSettings(0.95, 96)
         normals = bridge.write_ply(folder / "part.ply", vertices, faces)
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(target, "FINEST", 4 * len(faces))
-            reference = target.make(xml, folder, vertices, faces, normals, albedo, **options)
-        made[name] = Evaluator(reference, scene.load(xml, folder / "part.ply", **options), VIEWS)
+            reference = target.build_reference(xml, folder, vertices, faces, normals, albedo, options)
+        made[name] = Evaluator(reference, scene.load(xml, folder / "part.ply", **asdict(options)), VIEWS)
     return made
 
 

@@ -34,13 +34,13 @@ class TestStressStage:
         assert [terms <= set(line) for line in result.history] == [False] * 3 + [True] * 3
         reported = [{name: line[name] for name in terms} for line in result.history[3:]]
         assert reported[0] == reported[1] != reported[2]
-        rest = [
-            line["loss"] - sum(w * line[name] for name, w in vars(CONFIG.weights).items() if name in line)
-            for line in result.history
-        ]
+        lines, other_weights = result.history, {n: w for n, w in vars(CONFIG.weights).items() if n not in terms}
+        rest = [line["loss"] - sum(w * line[n] for n, w in other_weights.items() if n in line) for line in lines]
         assert rest[:3] == pytest.approx([0] * 3, abs=1e-4)
-        factor = [one / (sum(values.values()) - 4) for one, values in zip(rest[3:], reported)]
-        assert factor[2] == pytest.approx(factor[0], rel=1e-3) and factor[0] > 0, "one balance for all of the stage"
+        for line, values in ((lines[3], reported[0]), (lines[5], reported[2])):
+            assert line["stress"] == pytest.approx(sum(values.values()) - 4, rel=1e-3)
+        weights = [one / line["stress"] for one, line in zip(rest[3:], lines[3:], strict=True)]
+        assert weights == pytest.approx([weights[0]] * 3, rel=1e-3) and weights[0] > 0, "one for all of the stage"
         waves = np.sin(8 * result.vertices[:, 0] * 0.95)
         pulled = result.relief_mm - twin.relief_mm
         assert np.corrcoef(waves, pulled)[0, 1] < -0.2, "out of what is under stress, into what is not"

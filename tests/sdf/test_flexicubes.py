@@ -285,4 +285,6 @@ class TestParts:
     def test_regulariser_of_the_weights(self):
         phi, weights = random_field(9, 0), torch.zeros(512, WEIGHTS)
         assert flexi_weight_reg(FlexiCubes()(phi, None, weights).weights) == 0
-        assert flexi_weight_reg(torch.tensor([[1.0, -3.0]])) == 5
+        weights = torch.zeros(1, WEIGHTS)
+        weights[0, :2] = torch.tensor([1.0, -3.0])
+        assert flexi_weight_reg(weights).item() == pytest.approx(10 / WEIGHTS)
