@@ -103,7 +103,11 @@ class RefineConfig:
     """Each iteration's lights are turned by up to this many degrees."""
     weights: Weights = field(default_factory=Weights)
     """Weights of the loss terms."""
-    score_vgg: bool = True
+    alignment: Literal["robust", "paper"] = "robust"
+    """How an image of the part is fitted to the textured object before the two are compared, in the loss and in the
+    choice of the start: "paper" makes mean and variance equal, which stretches the shading of plain areas until it
+    varies as much as the paint; "robust" fits what most of the object looks like. Scores are given for both."""
+    score_vgg: bool = False
     """Score with VGG16 LPIPS too, which takes as long as a hundred iterations on a small machine."""
     silhouettes: bool = False
     """Also differentiate moving outlines (projective sampling): slower, without the geometry terms, and no better on

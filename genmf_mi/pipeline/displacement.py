@@ -40,7 +40,7 @@ def heights(problem: RefinementProblem, amplitude: float) -> np.ndarray:
         return np.zeros(len(brightness))
     brightness = np.clip((brightness - low) / (high - low), 0, 1)
     share = np.clip(2 * amplitude * (brightness - np.median(brightness)), -1, 1)
-    return share * np.where(share > 0, problem.bounds.outward, problem.bounds.inward)
+    return share * np.where(share > 0, problem.loose_bounds.outward, problem.loose_bounds.inward)
 
 
 def initial_heights(problem: RefinementProblem, displacement: Displacement) -> np.ndarray:

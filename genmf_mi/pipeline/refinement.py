@@ -93,7 +93,7 @@ def refine(
         problem = build_problem(asset, config, xml, Path(folder), references=references, progress=progress, timer=timer)
         progress.stage("rendering the references")
         pair = problem.evaluation
-        evaluator = Evaluator(pair.reference, pair.part, problem.training.reference.views, config.networks)
+        evaluator = Evaluator(pair.reference, pair.part, pair.reference.views, config.networks, config.alignment)
         displacement = best_displacement(problem, evaluator, progress)
         parameterization = parameterize(problem, config, device)
         timer.lap("displacement")

@@ -10,6 +10,7 @@ from loss_images import disc, smooth, unit
 
 from genmf_mi.core.config import Weights
 from genmf_mi.losses import appearance, geometry, objective
+from genmf_mi.losses.alignment import align_srgb
 from genmf_mi.render.bridge import Buffers
 
 OF_THE_GEOMETRY = {"sdf_tv", "l_dev", "flexi_weight_reg"}
@@ -38,7 +39,7 @@ class TestObjective:
         values = objective.terms(part, reference, self.every)
         assert set(values) == set(Weights.__dataclass_fields__) - OF_THE_GEOMETRY - OF_THE_STRESS
         mask = reference.coverage
-        images = appearance.align_srgb(part.grey, part.coverage, reference.grey, mask)
+        images = align_srgb(part.grey, part.coverage, reference.grey, mask)
         expected = {
             "grey_l1": appearance.grey_l1(*images, mask),
             "ssim": appearance.ssim_loss(*images, mask),
