@@ -103,10 +103,11 @@ class RefineConfig:
     """Each iteration's lights are turned by up to this many degrees."""
     weights: Weights = field(default_factory=Weights)
     """Weights of the loss terms."""
-    alignment: Literal["robust", "paper"] = "robust"
-    """How an image of the part is fitted to the textured object before the two are compared, in the loss and in the
-    choice of the start: "paper" makes mean and variance equal, which stretches the shading of plain areas until it
-    varies as much as the paint; "robust" fits what most of the object looks like. Scores are given for both."""
+    alignment: Literal["room", "robust", "paper"] = "room"
+    """How images of the part are fitted to the textured object before they are compared, in the loss and in the scores:
+    one exposure for all views, a robust gain and offset per view, or mean and variance per view as in the paper, which
+    stretches the shading of plain areas until it varies as much as the paint. The paper's scores are given in any
+    case."""
     score_vgg: bool = False
     """Score with VGG16 LPIPS too, which takes as long as a hundred iterations on a small machine."""
     silhouettes: bool = False

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 RADIUS_MM = 6.0
 """An area is plain where the brightness within this distance differs by :data:`PLAIN_CONTRAST` at most."""
@@ -28,7 +28,7 @@ def brightness_range(points: np.ndarray, brightness: np.ndarray, radius: float) 
     np.minimum.at(low, group, brightness)
     np.maximum.at(high, group, brightness)
     lowest, highest = low.copy(), high.copy()
-    pairs = cKDTree(centre).query_pairs(radius, output_type="ndarray")
+    pairs = KDTree(centre).query_pairs(radius, output_type="ndarray")
     for one, other in (pairs.T, pairs.T[::-1]):
         np.minimum.at(lowest, one, low[other])
         np.maximum.at(highest, one, high[other])
@@ -51,7 +51,7 @@ def relief_cap(points_mm: np.ndarray, brightness: np.ndarray, cap_mm: float) -> 
     plain = is_plain(points_mm, brightness)
     if plain.all() or not plain.any():
         return np.full(len(points_mm), cap_mm)
-    distance, _ = cKDTree(points_mm[plain]).query(points_mm, distance_upper_bound=RAMP_MM)
+    distance, _ = KDTree(points_mm[plain]).query(points_mm, distance_upper_bound=RAMP_MM)
     share = np.minimum(distance / RAMP_MM, 1.0)
     low = min(PLAIN_CAP_MM, cap_mm)
     return low + share * (cap_mm - low)

@@ -1,12 +1,15 @@
-"""Ĝ and G_gt as they are compared: which differences between two grey images one exposure of the part explains.
+"""Ĝ and G_gt as they are compared: which differences between two grey images are not the part's fault.
 
-A part has one grey, and a room one brightness; both are unknown and no shape can give them, so each image of the part
-is fitted to the reference before the two are compared. How freely decides what the comparison rewards:
+A part has one grey and a room one brightness. Both are unknown and no shape can change them, so renders of the part are
+fitted to those of the textured object before they are compared. How freely decides what the comparison rewards:
 
-- ``robust`` (the default): the fit follows what most of the object looks like. Spots of paint count as residuals, not
-  as contrast that the shading of plain areas should make up for.
-- ``paper`` (GenMF): mean and variance are made equal. Paint raises the variance of the reference, so that the shading
-  of a plain grey part is stretched until it varies as much.
+- ``room`` (the default): one exposure in linear light, the same for all views and for all shapes, at which the part
+  before its refinement comes closest to the object. That is how an eye adapts: to the room, not to the picture. The
+  contrast of the shading is what a person would see.
+- ``robust``: gain and offset per image, by a fit in which paint counts as residual. Where two colours cover about the
+  same area, as on the sides of a bus, it takes now the one and now the other for the part.
+- ``paper`` (GenMF): mean and variance per image are made equal. Paint raises the variance of the reference, so that the
+  shading of a plain grey part is stretched until it varies as much.
 
 Images are torch tensors ``[B,1,H,W]``, weighted by their coverage or mask ``[B,1,H,W]`` in 0..1; statistics are taken
 inside the mask, each image of the batch on its own.
@@ -14,16 +17,17 @@ inside the mask, each image of the batch on its own.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from genmf_mi.core.colour import to_srgb
 from genmf_mi.losses.shapes import GreyImages
 
-Alignment = Literal["robust", "paper"]
+Kind = Literal["room", "robust", "paper"]
 
 GAIN = 0.5, 2.0
 """Limits of the contrast that the robust fit may give to a part."""
@@ -32,35 +36,57 @@ TUNING = 1.5
 """Residuals of this many times the median weigh half in the robust fit."""
 SMALLEST_MEDIAN = 0.01
 """Of the residuals, encoded: below it everything fits, and round-off must not decide what weighs."""
+EXPOSURES = np.geomspace(1 / 32, 32, 161)
+"""Of the object over the part, as tried for ``room``: a sixteenth of a stop apart."""
 
 
-def align_srgb(
-    grey: GreyImages,
-    coverage: GreyImages,
-    reference: GreyImages,
-    mask: GreyImages,
-    alignment: Alignment = "robust",
-) -> tuple[GreyImages, GreyImages]:
-    """Ĝ and G_gt as they are compared: equal exposure, sRGB-encoded, aligned; both 0 outside of the mask.
+@dataclass(frozen=True)
+class Alignment:
+    """How renders of a part are fitted to those of the textured object.
 
-    grey, reference: linear, weighted by their coverage and mask as they come from the renderer. The exposure is matched
-    in linear light first, because a change of it is not affine in encoded values. A pixel on the rim is encoded as the
-    colour of the object at that place and weighted by the mask again, in both images alike.
-
-    Rendering is linear; the comparison is not. LPIPS and SSIM are made for encoded images, and so are eyes: in linear
-    light a dark blue window in a black door differs by 0.02 and is lost, encoded by 0.15.
+    exposure: factor on the linear grey values of the part; ``room`` only.
     """
 
-    def own_colour(x: Tensor, weight: Tensor) -> Tensor:
-        return x / weight.clamp_min(1e-3)
+    kind: Kind = "room"
+    exposure: float = 1.0
 
-    part, target = own_colour(grey, coverage), own_colour(reference, mask)
-    inside = mask.sum(dim=(2, 3), keepdim=True).clamp_min(1e-6)
-    exposure = (target * mask).sum(dim=(2, 3), keepdim=True) / (part * mask).sum(dim=(2, 3), keepdim=True).clamp_min(
-        1e-6 * inside
-    )
-    target = to_srgb(target)
-    return ALIGN[alignment](to_srgb(part * exposure), target, mask), target * mask
+    @classmethod
+    def fit(
+        cls, kind: Kind, grey: GreyImages, coverage: GreyImages, reference: GreyImages, mask: GreyImages
+    ) -> Alignment:
+        """With the exposure of least absolute differences between all images of the part before its refinement and
+        those of the object, encoded; arguments as for :meth:`__call__`."""
+        if kind != "room":
+            return cls(kind)
+        part, target = _own_colour(grey.detach(), coverage), to_srgb(_own_colour(reference, mask))
+        differences = [float(((to_srgb(part * e) - target).abs() * mask).sum()) for e in EXPOSURES]
+        return cls(kind, float(EXPOSURES[int(np.argmin(differences))]))
+
+    def __call__(
+        self, grey: GreyImages, coverage: GreyImages, reference: GreyImages, mask: GreyImages
+    ) -> tuple[GreyImages, GreyImages]:
+        """Ĝ and G_gt as they are compared: sRGB-encoded, aligned; both 0 outside of the mask.
+
+        grey, reference: linear, weighted by their coverage and mask as they come from the renderer. A pixel on the rim
+        is encoded as the colour of the object at that place and weighted by the mask again, in both images alike.
+
+        Rendering is linear; the comparison is not. LPIPS and SSIM are made for encoded images, and so are eyes: in
+        linear light a dark blue window in a black door differs by 0.02 and is lost, encoded by 0.15.
+        """
+        part, target = _own_colour(grey, coverage), _own_colour(reference, mask)
+        encoded = to_srgb(target)
+        if self.kind == "room":
+            return to_srgb(part * self.exposure) * mask, encoded * mask
+        # A change of exposure is not affine in encoded values, so it is matched in linear light first
+        inside = mask.sum(dim=(2, 3), keepdim=True).clamp_min(1e-6)
+        light = (part * mask).sum(dim=(2, 3), keepdim=True).clamp_min(1e-6 * inside)
+        part = to_srgb(part * (target * mask).sum(dim=(2, 3), keepdim=True) / light)
+        align = align_robustly if self.kind == "robust" else align_moments
+        return align(part, encoded, mask), encoded * mask
+
+
+def _own_colour(grey: Tensor, weight: Tensor) -> Tensor:
+    return grey / weight.clamp_min(1e-3)
 
 
 def align_robustly(grey: GreyImages, reference: GreyImages, mask: GreyImages) -> GreyImages:
@@ -115,9 +141,3 @@ def align_moments(grey: GreyImages, reference: GreyImages, mask: GreyImages) -> 
 
     (mean, deviation), (target_mean, target_deviation) = moments(grey), moments(reference)
     return ((grey - mean) / deviation * target_deviation + target_mean) * mask
-
-
-ALIGN: dict[Alignment, Callable[[Tensor, Tensor, Tensor], Tensor]] = {
-    "robust": align_robustly,
-    "paper": align_moments,
-}

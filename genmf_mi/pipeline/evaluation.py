@@ -15,6 +15,7 @@ from genmf_mi.assets.asset import Asset, load
 from genmf_mi.core.config import RefineConfig
 from genmf_mi.core.frame import Frame
 from genmf_mi.losses import lpips_weights
+from genmf_mi.losses.alignment import Kind
 from genmf_mi.losses.lpips_weights import Network
 from genmf_mi.mesh import topology
 from genmf_mi.pipeline import evaluator
@@ -35,6 +36,7 @@ def evaluate(
     *,
     size_mm: float = 100.0,
     scene: str | Path | None = None,
+    alignment: Kind = "room",
     networks: tuple[Network, ...] = ("alex",),
 ) -> dict[str, Any]:
     """Score a one-colour shape against a textured asset.
@@ -44,6 +46,7 @@ def evaluate(
             its own bounding box; print files, which are z up, are turned upright by their format.
         size_mm: longest side of the part.
         scene: scene file; the sample's own or ``default.xml`` if None.
+        alignment: of the shape to the asset, see :class:`genmf_mi.RefineConfig`.
         networks: LPIPS networks to score with.
 
     Returns:
@@ -69,8 +72,9 @@ def evaluate(
         after = scenes.load(xml, ply, **asdict(settings))
         metrics: dict[str, Any] = {"asset": textured.name, "unseen": {}}
         pair = problem.evaluation
+        fitted = evaluator.fit_alignment(alignment, pair.reference, pair.part)
         for group, views in ((metrics, pair.reference.views), (metrics["unseen"], unseen_views(pair.reference.views))):
-            score = Evaluator(pair.reference, pair.part, views, networks)
+            score = Evaluator(pair.reference, pair.part, views, fitted, networks)
             parts: dict[str, bridge.Buffers] = {}
             for name, shown, points in (("before", pair.part, problem.surface.vertices), ("after", after, vertices)):
                 score.scene = shown

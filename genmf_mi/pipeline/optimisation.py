@@ -21,6 +21,7 @@ from genmf_mi.core.progress import Progress
 from genmf_mi.geometry.parameterization import Geometry, Parameterization
 from genmf_mi.geometry.uniform_adam import UniformAdam
 from genmf_mi.losses import objective
+from genmf_mi.losses.alignment import Alignment
 from genmf_mi.pipeline.checkpoint import Checkpoint
 from genmf_mi.pipeline.problem import RefinementProblem
 from genmf_mi.pipeline.run_folder import RunFolder
@@ -58,6 +59,7 @@ class Optimisation:
     problem: RefinementProblem
     config: RefineConfig
     parameterization: Parameterization
+    alignment: Alignment
     stress: StressStage | None = None
     extra_terms: ExtraTerms | None = None
     iteration: int = 0
@@ -155,7 +157,7 @@ def step(optimisation: Optimisation) -> dict[str, float]:
     geometry = parameterization.geometry()
     image = bridge.render(problem.training.part, [view], geometry.vertices, geometry.faces, seed=index)
 
-    terms = objective.terms(image, reference, config.weights, config.alignment)
+    terms = objective.terms(image, reference, config.weights, optimisation.alignment)
     terms |= objective.with_weight(geometry.terms, config.weights)
     weights, figures = asdict(config.weights), {}
     if optimisation.extra_terms:

@@ -27,7 +27,7 @@ from genmf_mi.losses import lpips_weights
 from genmf_mi.mesh.self_intersections import self_intersections
 from genmf_mi.pipeline import stress_stage
 from genmf_mi.pipeline.displacement import best_displacement, initial_heights
-from genmf_mi.pipeline.evaluator import Evaluator
+from genmf_mi.pipeline.evaluator import Evaluator, fit_alignment
 from genmf_mi.pipeline.optimisation import ExtraTerms, Optimisation, iterations, optimise
 from genmf_mi.pipeline.problem import build_problem, parameterize
 from genmf_mi.pipeline.results import Outcome, Result, conclude
@@ -93,13 +93,14 @@ def refine(
         problem = build_problem(asset, config, xml, Path(folder), references=references, progress=progress, timer=timer)
         progress.stage("rendering the references")
         pair = problem.evaluation
-        evaluator = Evaluator(pair.reference, pair.part, pair.reference.views, config.networks, config.alignment)
+        alignment = fit_alignment(config.alignment, pair.reference, pair.part)
+        evaluator = Evaluator(pair.reference, pair.part, pair.reference.views, alignment, config.networks)
         displacement = best_displacement(problem, evaluator, progress)
         parameterization = parameterize(problem, config, device)
         timer.lap("displacement")
 
         stress, left_out = stress_stage.plan(problem, config, device, progress)
-        optimisation = Optimisation(problem, config, parameterization, stress, extra_terms)
+        optimisation = Optimisation(problem, config, parameterization, alignment, stress, extra_terms)
         if config.method == "relief":
             parameterization.set_heights(initial_heights(problem, displacement))
             interrupted = optimise(optimisation, run, progress, resume=resume)
@@ -151,6 +152,7 @@ def _without_stress(optimisation: Optimisation, progress: Progress) -> tuple[np.
         optimisation.problem,
         optimisation.config,
         optimisation.parameterization,
+        optimisation.alignment,
         extra_terms=optimisation.extra_terms,
     )
     other.restore(optimisation.stage_one)

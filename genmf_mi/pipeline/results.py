@@ -151,7 +151,7 @@ def scores_of(outcome: Outcome, shapes: Shapes, progress: Progress) -> tuple[dic
     table = scorer.verdicts(buffers)
     if not pair.reference.pictures:
         progress.stage("scoring, unseen views")
-        unseen = Evaluator(pair.reference, pair.part, unseen_views(scorer.views), scorer.networks)
+        unseen = Evaluator(pair.reference, pair.part, unseen_views(scorer.views), scorer.alignment, scorer.networks)
         table["unseen"] = unseen.verdicts({name: unseen.render(*shape) for name, shape in shapes.items()})
     return table, buffers
 
@@ -164,6 +164,7 @@ def metrics_of(outcome: Outcome, scores: dict[str, Any], part_mm: np.ndarray) ->
     backed_off = report.pop("relief_backed_off", 0.0)
     metrics = {
         "asset": problem.asset.name,
+        "alignment": outcome.evaluator.alignment.kind,
         **scores,
         "relief_mm": {
             "max": float(distance.max()),

@@ -10,7 +10,7 @@ from loss_images import GREY, MASK, REFERENCE, SIZE, disc, smooth, tensors
 from genmf_mi.core.colour import to_srgb
 from genmf_mi.losses import alignment as alignments
 from genmf_mi.losses import appearance
-from genmf_mi.losses.alignment import align_moments, align_robustly, align_srgb
+from genmf_mi.losses.alignment import Alignment, align_moments, align_robustly
 
 
 def oracle_moments(grey, reference, mask):
@@ -120,44 +120,71 @@ class TestMoments:
         assert spread < 0.2 * reference.std()
 
 
-@pytest.mark.parametrize("alignment", ["robust", "paper"])
-class TestAlignSrgb:
-    """Both images are brought to equal exposure in linear light, sRGB-encoded and aligned."""
+def fitted(kind, grey, coverage, reference, mask):
+    """Ĝ and G_gt, with the exposure of these images."""
+    return Alignment.fit(kind, grey, coverage, reference, mask)(grey, coverage, reference, mask)
+
+
+@pytest.mark.parametrize("kind", ["room", "robust", "paper"])
+class TestAlignment:
+    """Both images are sRGB-encoded; the part has no exposure of its own."""
 
     rim = MASK * 0.9 + 0.1 * disc(SIZE, 2) ** 2
 
-    def test_against_numpy(self, alignment):
-        oracle = {"robust": oracle_robust, "paper": oracle_moments}[alignment]
+    def test_against_numpy(self, kind):
         grey, reference = GREY * self.rim, REFERENCE * MASK
-        seen, target = align_srgb(*tensors(grey, self.rim, reference, MASK), alignment)
+        seen, target = fitted(kind, *tensors(grey, self.rim, reference, MASK))
         own, wanted = grey / np.maximum(self.rim, 1e-3), reference / np.maximum(MASK, 1e-3)
-        exposure = (wanted * MASK).sum(axis=(2, 3), keepdims=True) / (own * MASK).sum(axis=(2, 3), keepdims=True)
         encoded = to_srgb(wanted).astype(np.float64)
         np.testing.assert_allclose(target, encoded * MASK, atol=1e-6)
-        np.testing.assert_allclose(seen, oracle(to_srgb(np.maximum(own, 0) * exposure), encoded, MASK), atol=1e-5)
+        if kind == "room":
+            exposure = min(alignments.EXPOSURES, key=lambda e: (np.abs(to_srgb(own * e) - encoded) * MASK).sum())
+            expected = to_srgb(own * exposure) * MASK
+        else:
+            exposure = (wanted * MASK).sum(axis=(2, 3), keepdims=True) / (own * MASK).sum(axis=(2, 3), keepdims=True)
+            oracle = {"robust": oracle_robust, "paper": oracle_moments}[kind]
+            expected = oracle(to_srgb(np.maximum(own, 0) * exposure), encoded, MASK)
+        np.testing.assert_allclose(seen, expected, atol=1e-5)
 
-    def test_exposure_costs_nothing(self, alignment):
+    def test_exposure_costs_nothing(self, kind):
         """Twice the light, or half, in linear light: the encoding is no straight line."""
         grey, mask, reference = tensors(GREY * MASK, MASK, REFERENCE * MASK)
-        plain, _ = align_srgb(grey, mask, reference, mask, alignment)
-        for gain in (0.25, 1.7):
-            torch.testing.assert_close(align_srgb(gain * grey, mask, reference, mask, alignment)[0], plain)
+        plain, _ = fitted(kind, grey, mask, reference, mask)
+        for stops in (-2, 1):
+            torch.testing.assert_close(fitted(kind, 2.0**stops * grey, mask, reference, mask)[0], plain)
 
-    def test_itself(self, alignment):
+    def test_itself(self, kind):
         reference, mask = tensors(REFERENCE * MASK, MASK)
-        seen, target = align_srgb(0.3 * reference, mask, reference, mask, alignment)
+        seen, target = fitted(kind, reference / 4, mask, reference, mask)
         torch.testing.assert_close(seen, target, rtol=0, atol=1e-6)
 
-    def test_black_or_empty(self, alignment):
+    def test_black_or_empty(self, kind):
         """An object without light, a part that left the frame, nothing at all: no NaN."""
         reference, mask = tensors(REFERENCE * MASK, MASK)
         nothing = torch.zeros_like(mask)
         black, gone = (nothing, mask, reference, mask), (nothing, nothing, reference, mask)
         for images in (black, gone, (reference, mask, nothing, mask), (nothing, nothing, nothing, nothing)):
             part = images[0].clone().requires_grad_()
-            seen, target = align_srgb(part, *images[1:], alignment)
+            seen, target = fitted(kind, part, *images[1:])
             seen.square().sum().backward()
             assert seen.isfinite().all() and target.isfinite().all() and part.grad.isfinite().all()
+
+
+class TestRoom:
+    def test_one_exposure_for_all_views(self):
+        """A side that is painted dark does not make the part a dark one."""
+        reference, mask = tensors(REFERENCE * MASK, MASK)
+        dark = reference * torch.tensor([1.0, 0.1])[:, None, None, None]
+        alignment = Alignment.fit("room", *(torch.cat([x, x[:1]]) for x in (reference, mask, dark, mask)))
+        assert alignment.exposure == pytest.approx(1.0, rel=0.05)
+        seen, _ = alignment(reference, mask, dark, mask)
+        np.testing.assert_allclose(seen, to_srgb(REFERENCE) * MASK, atol=0.02)
+
+    def test_gradient(self):
+        window = np.s_[:1, :, 8:16, 8:16]
+        grey, mask, reference = tensors(GREY[window], MASK[window], REFERENCE[window])
+        grey.requires_grad_()
+        assert torch.autograd.gradcheck(lambda x: Alignment("room", 0.7)(x, mask, reference, mask)[0], grey)
 
 
 def test_encoding():
@@ -172,4 +199,4 @@ def test_gradient_of_the_whole():
     window = np.s_[:1, :, 8:16, 8:16]
     grey, mask, reference = tensors(GREY[window], MASK[window], REFERENCE[window])
     grey.requires_grad_()
-    assert torch.autograd.gradcheck(lambda x: align_srgb(x, mask, reference, mask, "paper")[0], grey)
+    assert torch.autograd.gradcheck(lambda x: Alignment("paper")(x, mask, reference, mask)[0], grey)
