@@ -51,7 +51,7 @@ def unseen_views(views: tuple[View, ...]) -> tuple[View, ...]:
 class Evaluator:
     """Scores parts against one reference from one set of views.
 
-    networks: which LPIPS networks to report. alignment: see :func:`fit_alignment`.
+    alignment: see :func:`fit_alignment`. networks: which LPIPS networks to report. samples: rays per pixel.
     """
 
     reference: Reference
@@ -59,10 +59,11 @@ class Evaluator:
     views: tuple[View, ...]
     alignment: Alignment
     networks: tuple[Network, ...] = ("alex",)
+    samples: int = SAMPLES
 
     @torch.no_grad()
     def __post_init__(self) -> None:
-        target = self.reference.render(self.views, seed=SEED, samples=SAMPLES)
+        target = self.reference.render(self.views, seed=SEED, samples=self.samples)
         self.target_grey, (_, _, self.mask) = target.grey, target.geometry
         self.target = self.alignment(target.grey, self.mask, target.grey, self.mask)[1].clamp(0, 1)
         self.target_gradient = gradient_magnitude(self.target)
@@ -74,7 +75,7 @@ class Evaluator:
     @torch.no_grad()
     def render(self, vertices: Tensor, faces: Tensor | None = None) -> bridge.Buffers:
         """The part as it is lit, before any alignment; arguments as for :func:`bridge.render`."""
-        return bridge.render(self.scene, self.views, vertices, faces, seed=SEED, samples=SAMPLES)
+        return bridge.render(self.scene, self.views, vertices, faces, seed=SEED, samples=self.samples)
 
     @torch.no_grad()
     def align(self, part: bridge.Buffers, alignment: Alignment | None = None) -> Tensor:
@@ -135,6 +136,11 @@ class Evaluator:
                 actual = features(image[i : i + 1], network)
                 sums[name] += [float(lpips(actual, expected)), float(lpips(actual, expected, mask=mask))]
         return {name: (float(total[0]) / len(target), float(total[1]) / len(target)) for name, total in sums.items()}
+
+
+def build_evaluator(reference: Reference, part: Scene, kind: Kind, networks: tuple[Network, ...]) -> Evaluator:
+    """The evaluator of the standard views; ``part`` holds the part before its refinement."""
+    return Evaluator(reference, part, reference.views, fit_alignment(kind, reference, part), networks)
 
 
 @torch.no_grad()

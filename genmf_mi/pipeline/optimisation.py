@@ -93,8 +93,17 @@ class Optimisation:
         del self.history[self.iteration :]
 
 
-def optimise(optimisation: Optimisation, run: RunFolder | None, progress: Progress, *, resume: bool = False) -> bool:
+def optimise(
+    optimisation: Optimisation,
+    run: RunFolder | None,
+    progress: Progress,
+    *,
+    resume: bool = False,
+    show: Callable[[Tensor, Tensor | None], None] | None = None,
+) -> bool:
     """Make all iterations that are left, saving checkpoints on the way.
+
+    show: is given the vertices and the faces before the first iteration and at every checkpoint.
 
     A KeyboardInterrupt ends the optimisation with the last complete iteration.
 
@@ -105,6 +114,8 @@ def optimise(optimisation: Optimisation, run: RunFolder | None, progress: Progre
         checkpoint, optimisation.history = run.load()
         optimisation.restore(checkpoint)
     progress.stage("refining")
+
+    _show(optimisation, show)
     checkpoint, interrupted = optimisation.checkpoint(), False
     try:
         for record in iterations(optimisation):
@@ -114,6 +125,7 @@ def optimise(optimisation: Optimisation, run: RunFolder | None, progress: Progre
                 memory.trim_malloc()
                 if run is not None:
                     run.save(checkpoint, optimisation.history)
+                _show(optimisation, show)
     except KeyboardInterrupt:
         interrupted = True
         optimisation.restore(checkpoint)  # it may have come in the middle of a step
@@ -121,6 +133,13 @@ def optimise(optimisation: Optimisation, run: RunFolder | None, progress: Progre
     if run is not None:
         run.save(checkpoint, optimisation.history)
     return interrupted
+
+
+@torch.no_grad()
+def _show(optimisation: Optimisation, show: Callable[[Tensor, Tensor | None], None] | None) -> None:
+    if show is not None:
+        geometry = optimisation.parameterization.geometry()
+        show(geometry.vertices, geometry.faces)
 
 
 def iterations(optimisation: Optimisation) -> Iterator[dict[str, Any]]:

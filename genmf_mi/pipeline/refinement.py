@@ -27,11 +27,12 @@ from genmf_mi.losses import lpips_weights
 from genmf_mi.mesh.self_intersections import self_intersections
 from genmf_mi.pipeline import stress_stage
 from genmf_mi.pipeline.displacement import best_displacement, initial_heights
-from genmf_mi.pipeline.evaluator import Evaluator, fit_alignment
+from genmf_mi.pipeline.evaluator import build_evaluator
 from genmf_mi.pipeline.optimisation import ExtraTerms, Optimisation, iterations, optimise
+from genmf_mi.pipeline.preview import Preview
 from genmf_mi.pipeline.problem import build_problem, parameterize
 from genmf_mi.pipeline.results import Outcome, Result, conclude
-from genmf_mi.pipeline.run_folder import RunFolder
+from genmf_mi.pipeline.run_folder import PREVIEW, RunFolder
 from genmf_mi.render import scene_file, variant
 from genmf_mi.stress.report import verification
 
@@ -93,17 +94,17 @@ def refine(
         problem = build_problem(asset, config, xml, Path(folder), references=references, progress=progress, timer=timer)
         progress.stage("rendering the references")
         pair = problem.evaluation
-        alignment = fit_alignment(config.alignment, pair.reference, pair.part)
-        evaluator = Evaluator(pair.reference, pair.part, pair.reference.views, alignment, config.networks)
+        evaluator = build_evaluator(pair.reference, pair.part, config.alignment, config.networks)
         displacement = best_displacement(problem, evaluator, progress)
         parameterization = parameterize(problem, config, device)
         timer.lap("displacement")
 
         stress, left_out = stress_stage.plan(problem, config, device, progress)
-        optimisation = Optimisation(problem, config, parameterization, alignment, stress, extra_terms)
+        optimisation = Optimisation(problem, config, parameterization, evaluator.alignment, stress, extra_terms)
         if config.method == "relief":
             parameterization.set_heights(initial_heights(problem, displacement))
-            interrupted = optimise(optimisation, run, progress, resume=resume)
+            show = Preview(run.path / PREVIEW, evaluator, problem.surface).update if run else None
+            interrupted = optimise(optimisation, run, progress, resume=resume, show=show)
             state = parameterization.state()
         else:
             interrupted, state = False, parameterization.displaced(displacement.heights)
