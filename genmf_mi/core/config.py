@@ -104,10 +104,11 @@ class RefineConfig:
     weights: Weights = field(default_factory=Weights)
     """Weights of the loss terms."""
     alignment: Literal["room", "robust", "paper"] = "room"
-    """How images of the part are fitted to the textured object before they are compared, in the loss and in the scores:
-    one exposure for all views, a robust gain and offset per view, or mean and variance per view as in the paper, which
-    stretches the shading of plain areas until it varies as much as the paint. The paper's scores are given in any
-    case."""
+    """How images of the part are fitted to the textured object in the loss: one exposure for all views, a robust gain
+    and offset per view, or mean and variance per view as in the paper, which stretches the shading of plain areas until
+    it varies as much as the paint. Scores are given with one exposure, and as the paper aligns."""
+    grain: float = 0.0
+    """Contrast of the encoded target below which texture is taken for grain and smoothed out of the loss; 0: none."""
     score_vgg: bool = False
     """Score with VGG16 LPIPS too, which takes as long as a hundred iterations on a small machine."""
     silhouettes: bool = False

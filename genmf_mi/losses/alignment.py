@@ -44,23 +44,19 @@ EXPOSURES = np.geomspace(1 / 32, 32, 161)
 class Alignment:
     """How renders of a part are fitted to those of the textured object.
 
-    exposure: factor on the linear grey values of the part; ``room`` only.
+    exposure: factor on the linear grey values of the part; of ``room``, the others find their own.
     """
 
     kind: Kind = "room"
     exposure: float = 1.0
 
     @classmethod
-    def fit(
-        cls, kind: Kind, grey: GreyImages, coverage: GreyImages, reference: GreyImages, mask: GreyImages
-    ) -> Alignment:
-        """With the exposure of least absolute differences between all images of the part before its refinement and
-        those of the object, encoded; arguments as for :meth:`__call__`."""
-        if kind != "room":
-            return cls(kind)
+    def fit(cls, grey: GreyImages, coverage: GreyImages, reference: GreyImages, mask: GreyImages) -> Alignment:
+        """``room`` with the exposure of least absolute differences between all images of the part before its refinement
+        and those of the object, encoded; arguments as for :meth:`__call__`."""
         part, target = _own_colour(grey.detach(), coverage), to_srgb(_own_colour(reference, mask))
         differences = [float(((to_srgb(part * e) - target).abs() * mask).sum()) for e in EXPOSURES]
-        return cls(kind, float(EXPOSURES[int(np.argmin(differences))]))
+        return cls("room", float(EXPOSURES[int(np.argmin(differences))]))
 
     def __call__(
         self, grey: GreyImages, coverage: GreyImages, reference: GreyImages, mask: GreyImages

@@ -15,7 +15,6 @@ from genmf_mi.assets.asset import Asset, load
 from genmf_mi.core.config import RefineConfig
 from genmf_mi.core.frame import Frame
 from genmf_mi.losses import lpips_weights
-from genmf_mi.losses.alignment import Kind
 from genmf_mi.losses.lpips_weights import Network
 from genmf_mi.mesh import topology
 from genmf_mi.pipeline import evaluator
@@ -36,7 +35,6 @@ def evaluate(
     *,
     size_mm: float = 100.0,
     scene: str | Path | None = None,
-    alignment: Kind = "room",
     networks: tuple[Network, ...] = ("alex",),
 ) -> dict[str, Any]:
     """Score a one-colour shape against a textured asset.
@@ -46,7 +44,6 @@ def evaluate(
             its own bounding box; print files, which are z up, are turned upright by their format.
         size_mm: longest side of the part.
         scene: scene file; the sample's own or ``default.xml`` if None.
-        alignment: of the shape to the asset, see :class:`genmf_mi.RefineConfig`.
         networks: LPIPS networks to score with.
 
     Returns:
@@ -72,7 +69,7 @@ def evaluate(
         after = scenes.load(xml, ply, **asdict(settings))
         metrics: dict[str, Any] = {"asset": textured.name, "unseen": {}}
         pair = problem.evaluation
-        fitted = evaluator.fit_alignment(alignment, pair.reference, pair.part)
+        fitted = evaluator.fit_alignment(pair.reference, pair.part)
         for group, views in ((metrics, pair.reference.views), (metrics["unseen"], unseen_views(pair.reference.views))):
             score = Evaluator(pair.reference, pair.part, views, fitted, networks)
             parts: dict[str, bridge.Buffers] = {}

@@ -5,8 +5,8 @@ reference, clipped to 0..1, background 0 in both. SSIM and LPIPS are taken over 
 mask. The g-metrics compare the gradient magnitudes. "Unseen" means six views between the standard ones, three under
 each of two turned lightings that no iteration uses.
 
-Scores are given twice: with one exposure for all views, or the alignment that was asked for; and with that of GenMF,
-under :data:`PAPER`, so that figures can be compared with the paper's (:mod:`genmf_mi.losses.alignment`).
+Scores are given twice: with one exposure for all views, and with the alignment of GenMF, under :data:`PAPER`, so that
+figures can be compared with the paper's (:mod:`genmf_mi.losses.alignment`).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from genmf_mi.losses.alignment import Alignment, Kind
+from genmf_mi.losses.alignment import Alignment
 from genmf_mi.losses.appearance import gradient_magnitude
 from genmf_mi.losses.lpips_weights import Network
 from genmf_mi.losses.perceptual import features, lpips
@@ -138,17 +138,17 @@ class Evaluator:
         return {name: (float(total[0]) / len(target), float(total[1]) / len(target)) for name, total in sums.items()}
 
 
-def build_evaluator(reference: Reference, part: Scene, kind: Kind, networks: tuple[Network, ...]) -> Evaluator:
+def build_evaluator(reference: Reference, part: Scene, networks: tuple[Network, ...]) -> Evaluator:
     """The evaluator of the standard views; ``part`` holds the part before its refinement."""
-    return Evaluator(reference, part, reference.views, fit_alignment(kind, reference, part), networks)
+    return Evaluator(reference, part, reference.views, fit_alignment(reference, part), networks)
 
 
 @torch.no_grad()
-def fit_alignment(kind: Kind, reference: Reference, part: Scene) -> Alignment:
-    """The alignment of parts to the object in the standard views; ``part`` holds that before its refinement."""
+def fit_alignment(reference: Reference, part: Scene) -> Alignment:
+    """One exposure for all parts and all views; ``part`` holds the part before its refinement."""
     shown = bridge.render(part, reference.views, seed=SEED, samples=SAMPLES)
     target = reference.render(reference.views, seed=SEED, samples=SAMPLES)
-    return Alignment.fit(kind, shown.grey, shown.geometry[2], target.grey, target.geometry[2])
+    return Alignment.fit(shown.grey, shown.geometry[2], target.grey, target.geometry[2])
 
 
 def outline_iou(coverage: Tensor, reference: Tensor) -> float:

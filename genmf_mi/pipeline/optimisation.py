@@ -176,7 +176,7 @@ def step(optimisation: Optimisation) -> dict[str, float]:
     geometry = parameterization.geometry()
     image = bridge.render(problem.training.part, [view], geometry.vertices, geometry.faces, seed=index)
 
-    terms = objective.terms(image, reference, config.weights, optimisation.alignment)
+    terms = objective.terms(image, reference, config.weights, optimisation.alignment, config.grain)
     terms |= objective.with_weight(geometry.terms, config.weights)
     weights, figures = asdict(config.weights), {}
     if optimisation.extra_terms:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -94,13 +95,14 @@ def refine(
         problem = build_problem(asset, config, xml, Path(folder), references=references, progress=progress, timer=timer)
         progress.stage("rendering the references")
         pair = problem.evaluation
-        evaluator = build_evaluator(pair.reference, pair.part, config.alignment, config.networks)
+        evaluator = build_evaluator(pair.reference, pair.part, config.networks)
         displacement = best_displacement(problem, evaluator, progress)
         parameterization = parameterize(problem, config, device)
         timer.lap("displacement")
 
         stress, left_out = stress_stage.plan(problem, config, device, progress)
-        optimisation = Optimisation(problem, config, parameterization, evaluator.alignment, stress, extra_terms)
+        alignment = replace(evaluator.alignment, kind=config.alignment)
+        optimisation = Optimisation(problem, config, parameterization, alignment, stress, extra_terms)
         if config.method == "relief":
             parameterization.set_heights(initial_heights(problem, displacement))
             show = Preview(run.path / PREVIEW, evaluator, problem.surface).update if run else None

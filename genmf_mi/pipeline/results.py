@@ -164,7 +164,6 @@ def metrics_of(outcome: Outcome, scores: dict[str, Any], part_mm: np.ndarray) ->
     backed_off = report.pop("relief_backed_off", 0.0)
     metrics = {
         "asset": problem.asset.name,
-        "alignment": outcome.evaluator.alignment.kind,
         **scores,
         "relief_mm": {
             "max": float(distance.max()),
