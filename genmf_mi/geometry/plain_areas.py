@@ -9,8 +9,8 @@ RADIUS_MM = 6.0
 """An area is plain where the brightness within this distance differs by :data:`PLAIN_CONTRAST` at most."""
 PLAIN_CONTRAST = 0.06
 """Of the sRGB-encoded brightness."""
-PLAIN_CAP_MM = 0.1
-"""Largest relief on plain areas, half a layer of a print."""
+PLAIN_CAP_MM = 0.06
+"""Largest relief on plain areas, a third of a layer of a print."""
 RAMP_MM = 3.0
 """Width of the strip beside a plain area in which the relief grows to its cap; the texture is as far away again."""
 GROUPS_PER_RADIUS = 6

@@ -20,7 +20,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -36,8 +35,8 @@ TUNING = 1.5
 """Residuals of this many times the median weigh half in the robust fit."""
 SMALLEST_MEDIAN = 0.01
 """Of the residuals, encoded: below it everything fits, and round-off must not decide what weighs."""
-EXPOSURES = np.geomspace(1 / 32, 32, 161)
-"""Of the object over the part, as tried for ``room``: a sixteenth of a stop apart."""
+LARGEST_STOPS, REFINEMENTS = 6.0, 4
+"""The exposure of ``room`` is sought within so many powers of 2 either way, and so often about the best one so far."""
 
 
 @dataclass(frozen=True)
@@ -54,9 +53,18 @@ class Alignment:
     def fit(cls, grey: GreyImages, coverage: GreyImages, reference: GreyImages, mask: GreyImages) -> Alignment:
         """``room`` with the exposure of least absolute differences between all images of the part before its refinement
         and those of the object, encoded; arguments as for :meth:`__call__`."""
-        part, target = _own_colour(grey.detach(), coverage), to_srgb(_own_colour(reference, mask))
-        differences = [float(((to_srgb(part * e) - target).abs() * mask).sum()) for e in EXPOSURES]
-        return cls("room", float(EXPOSURES[int(np.argmin(differences))]))
+        inside = mask > 0.5
+        part = _own_colour(grey.detach(), coverage)[inside]
+        target = to_srgb(_own_colour(reference, mask))[inside]
+
+        def difference(stops: float) -> float:
+            return float((to_srgb(part * 2.0**stops) - target).abs().sum())
+
+        best, reach = 0.0, LARGEST_STOPS
+        for _ in range(REFINEMENTS):
+            best = min((best + reach * i / 12 for i in range(-12, 13)), key=difference)
+            reach /= 12
+        return cls("room", 2.0**best)
 
     def __call__(
         self, grey: GreyImages, coverage: GreyImages, reference: GreyImages, mask: GreyImages

@@ -7,7 +7,7 @@ import torch.nn.functional as F
 
 from genmf_mi.losses.shapes import GreyImages
 
-SIGMA = 2.0
+SIGMA = 1.5
 """Pixels; the window is twice as far on each side."""
 
 

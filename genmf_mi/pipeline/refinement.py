@@ -72,8 +72,7 @@ def refine(
             (``unconstrained``), and ``after``, or of some of these by name; takes minutes.
         force, resume: replace a run in ``out``, or continue an interrupted one.
         save_exr: also write the image buffers of every shape and view.
-        extra_terms: further terms of the loss, see :data:`genmf_mi.pipeline.optimisation.ExtraTerms`.
-        progress: reports what is being done.
+        extra_terms: of the loss, see :data:`genmf_mi.pipeline.optimisation.ExtraTerms`. progress: of the run.
 
     Raises:
         GenmfError: what the command line prints; see :mod:`genmf_mi.core.errors`.
@@ -94,8 +93,7 @@ def refine(
     with tempfile.TemporaryDirectory(prefix="genmf-") as folder:
         problem = build_problem(asset, config, xml, Path(folder), references=references, progress=progress, timer=timer)
         progress.stage("rendering the references")
-        pair = problem.evaluation
-        evaluator = build_evaluator(pair.reference, pair.part, config.networks)
+        evaluator = build_evaluator(problem.evaluation.reference, problem.evaluation.part, config.networks)
         displacement = best_displacement(problem, evaluator, progress)
         parameterization = parameterize(problem, config, device)
         timer.lap("displacement")

@@ -122,7 +122,8 @@ class TestMoments:
 
 def fitted(kind, grey, coverage, reference, mask):
     """Ĝ and G_gt, with the exposure of these images."""
-    return Alignment.fit(kind, grey, coverage, reference, mask)(grey, coverage, reference, mask)
+    exposure = Alignment.fit(grey, coverage, reference, mask).exposure
+    return Alignment(kind, exposure)(grey, coverage, reference, mask)
 
 
 @pytest.mark.parametrize("kind", ["room", "robust", "paper"])
@@ -138,8 +139,11 @@ class TestAlignment:
         encoded = to_srgb(wanted).astype(np.float64)
         np.testing.assert_allclose(target, encoded * MASK, atol=1e-6)
         if kind == "room":
-            exposure = min(alignments.EXPOSURES, key=lambda e: (np.abs(to_srgb(own * e) - encoded) * MASK).sum())
+            inside, exposures = MASK > 0.5, np.geomspace(1 / 8, 8, 4000)
+            exposure = min(exposures, key=lambda e: np.abs(to_srgb(own[inside] * e) - encoded[inside]).sum())
             expected = to_srgb(own * exposure) * MASK
+            np.testing.assert_allclose(seen, expected, atol=2e-3)
+            return
         else:
             exposure = (wanted * MASK).sum(axis=(2, 3), keepdims=True) / (own * MASK).sum(axis=(2, 3), keepdims=True)
             oracle = {"robust": oracle_robust, "paper": oracle_moments}[kind]
@@ -151,12 +155,13 @@ class TestAlignment:
         grey, mask, reference = tensors(GREY * MASK, MASK, REFERENCE * MASK)
         plain, _ = fitted(kind, grey, mask, reference, mask)
         for stops in (-2, 1):
-            torch.testing.assert_close(fitted(kind, 2.0**stops * grey, mask, reference, mask)[0], plain)
+            again, _ = fitted(kind, 2.0**stops * grey, mask, reference, mask)
+            torch.testing.assert_close(again, plain, rtol=0, atol=1e-5)
 
     def test_itself(self, kind):
         reference, mask = tensors(REFERENCE * MASK, MASK)
         seen, target = fitted(kind, reference / 4, mask, reference, mask)
-        torch.testing.assert_close(seen, target, rtol=0, atol=1e-6)
+        torch.testing.assert_close(seen, target, rtol=0, atol=1e-3)
 
     def test_black_or_empty(self, kind):
         """An object without light, a part that left the frame, nothing at all: no NaN."""
@@ -175,7 +180,7 @@ class TestRoom:
         """A side that is painted dark does not make the part a dark one."""
         reference, mask = tensors(REFERENCE * MASK, MASK)
         dark = reference * torch.tensor([1.0, 0.1])[:, None, None, None]
-        alignment = Alignment.fit("room", *(torch.cat([x, x[:1]]) for x in (reference, mask, dark, mask)))
+        alignment = Alignment.fit(*(torch.cat([x, x[:1]]) for x in (reference, mask, dark, mask)))
         assert alignment.exposure == pytest.approx(1.0, rel=0.05)
         seen, _ = alignment(reference, mask, dark, mask)
         np.testing.assert_allclose(seen, to_srgb(REFERENCE) * MASK, atol=0.02)
