@@ -29,7 +29,9 @@ def main(inputs: Inputs) -> None:
     centres = np.array(trimesh.creation.icosphere(0).vertices)
     away = RADIUS_MM * np.arccos(np.clip(directions @ centres.T, -1, 1)).min(axis=1)
     dark = np.float32(away < SPOT_MM)
-    painted = Asset.from_arrays("ladder", directions * RADIUS_MM, faces, colours=np.repeat(0.8 - 0.7 * dark[:, None], 3, 1))
+    painted = Asset.from_arrays(
+        "ladder", directions * RADIUS_MM, faces, colours=np.repeat(0.8 - 0.7 * dark[:, None], 3, 1)
+    )
     groove = -np.exp(-0.5 * ((away - SPOT_MM) / 0.7) ** 2)
     bend = np.sin(directions[:, 1] * RADIUS_MM / 5) * np.clip((away - SPOT_MM - 3) / 3, 0, 1)
     rows = {}
