@@ -76,4 +76,4 @@ class TestRefinements:
         flat_foot, above_it = main(asset, weight=100.0, config=config, scene=two_views)
         assert (foot, above) == pytest.approx((0.345, 0.550), rel=0.1)
         assert (flat_foot, above_it) == pytest.approx((0.205, 0.521), rel=0.15)
-        assert "the term is 1.0" in capsys.readouterr().out
+        assert "the term is 1.1" in capsys.readouterr().out
