@@ -53,6 +53,8 @@ CATALOGUE = (
     Benchmark("rendering", "rendering.json", "milliseconds per view beside stock Mitsuba", 5, "not quoted"),
     Benchmark("memory", "memory.json", "whether a long refinement keeps its memory flat", 6, "not quoted"),
     Benchmark("flexicubes", "flexicubes.json", "seconds of FlexiCubes at 129³, forward and backward", 2, "not quoted"),
+    Benchmark("alignment_ladder", "alignment_ladder.json", "which alignment ranks parts as a person does", 2,
+              "docs/appearance.md"),
     Benchmark("assets", "assets.json", "scores, seconds and memory of eight assets", 25, "README, What it gives",
               ("assets",)),
     Benchmark("sdf_route", "sdf_route.json", "the same from the field instead of the mesh", 70,

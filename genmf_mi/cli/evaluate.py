@@ -8,7 +8,12 @@ from genmf_mi.cli.arguments import call
 
 
 def evaluate(
-    original: Path, refined: Path, size_mm: float = 100.0, scene: Path | None = None, json: bool = False
+    original: Path,
+    refined: Path,
+    size_mm: float = 100.0,
+    scene: Path | None = None,
+    score_vgg: bool = False,
+    json: bool = False,
 ) -> int:
     """Score a one-colour shape against the textured asset that it should look like.
 
@@ -17,11 +22,13 @@ def evaluate(
         refined: The one-colour shape, in the same pose (any scale and position).
         size_mm: Longest side of the part.
         scene: A scene file; the sample's own or the default one if not given.
+        score_vgg: Score with VGG16 LPIPS too, which takes half a minute on a small machine.
         json: Print JSON instead of a table.
     """
     from genmf_mi.pipeline import evaluation
 
-    metrics = evaluation.evaluate(original, refined, size_mm=size_mm, scene=scene)
+    networks = ("alex", "vgg") if score_vgg else ("alex",)
+    metrics = evaluation.evaluate(original, refined, size_mm=size_mm, scene=scene, networks=networks)
     if json:
         from json import dumps
 

@@ -16,7 +16,7 @@ SHAPES = ("before", "displacement", "unconstrained", "after")
 
 
 def print_scores(metrics: dict) -> None:
-    """The scores of all shapes in ``metrics.json``, on the standard and on the unseen views."""
+    """The scores of all shapes in ``metrics.json``: on the standard and the unseen views, and aligned as in GenMF."""
     from rich.console import Console
     from rich.table import Table
 
@@ -24,9 +24,10 @@ def print_scores(metrics: dict) -> None:
     table.add_column("")
     for title in SCORES:
         table.add_column(title, justify="right")
-    for prefix, block in (("", metrics), ("unseen: ", metrics.get("unseen") or {})):
+    blocks = {"": metrics, "unseen: ": metrics.get("unseen"), "as the paper aligns: ": metrics.get("paper_alignment")}
+    for prefix, block in blocks.items():
         for shape in SHAPES:
-            if shape in block:
+            if block and shape in block:
                 values = [block[shape].get(key) for key in SCORES.values()]
                 table.add_row(prefix + shape, *("–" if value is None else f"{value:.4f}" for value in values))
         table.add_section()

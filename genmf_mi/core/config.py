@@ -103,7 +103,14 @@ class RefineConfig:
     """Each iteration's lights are turned by up to this many degrees."""
     weights: Weights = field(default_factory=Weights)
     """Weights of the loss terms."""
-    score_vgg: bool = True
+    alignment: Literal["room", "robust", "paper"] = "room"
+    """How images of the part are fitted to the textured object in the loss: one exposure for all views, a robust gain
+    and offset per view, or mean and variance per view as in the paper, which stretches the shading of plain areas until
+    it varies as much as the paint. Scores are given with one exposure, and as the paper aligns."""
+    grain: float = 0.02
+    """Contrast of the encoded texture below which it counts as grain, which would roughen the skin and is smoothed out
+    of what the loss compares with; 0 keeps all of it."""
+    score_vgg: bool = False
     """Score with VGG16 LPIPS too, which takes as long as a hundred iterations on a small machine."""
     silhouettes: bool = False
     """Also differentiate moving outlines (projective sampling): slower, without the geometry terms, and no better on
@@ -138,6 +145,7 @@ class RefineConfig:
         require(self.max_faces >= 1000, f"max-faces must be at least 1000, not {self.max_faces}.")
         require(self.learning_rate > 0, f"learning-rate must be positive, not {self.learning_rate:g}.")
         require(self.smoothing >= 0, f"smoothing cannot be negative ({self.smoothing:g}).")
+        require(self.grain >= 0, f"grain cannot be negative ({self.grain:g}): 0 keeps all of the texture.")
         require(self.gradient_floor >= 0, f"gradient-floor cannot be negative ({self.gradient_floor:g}).")
         require(self.stress_weight >= 0, f"stress-weight cannot be negative ({self.stress_weight:g}): see --no-stress.")
         require(self.stress_every >= 1, f"stress-every must be at least 1, not {self.stress_every}.")

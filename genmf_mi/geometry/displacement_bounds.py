@@ -39,6 +39,13 @@ class DisplacementBounds:
     outward: np.ndarray
     tangential: np.ndarray
 
+    def capped(self, cap: np.ndarray) -> DisplacementBounds:
+        """With another cap ``[V]`` at each vertex."""
+        inward, outward = np.minimum(self.inward, cap), np.minimum(self.outward, cap)
+        tangential = np.minimum(self.tangential, 0.5 * np.minimum(inward, outward))
+        upright = np.sqrt(np.maximum(cap**2 - tangential**2, 0))
+        return DisplacementBounds(np.minimum(inward, upright), np.minimum(outward, upright), tangential)
+
 
 def displacement_bounds(
     vertices: np.ndarray,

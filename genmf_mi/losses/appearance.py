@@ -12,7 +12,6 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from genmf_mi.core.colour import to_srgb
 from genmf_mi.losses.shapes import GreyImages, Scalar
 
 L1_KNEE = 1e-3
@@ -23,51 +22,6 @@ def masked_mean(x: Float[Tensor, "B C H W"], mask: GreyImages) -> Scalar:
     """Mean of ``x [B,C,H,W]`` inside ``mask [B,1,H,W]``, then over channels and the batch."""
     inside = mask.sum(dim=(2, 3)).clamp_min(1e-6)
     return ((x * mask).sum(dim=(2, 3)) / inside).mean()
-
-
-def align_srgb(
-    grey: GreyImages,
-    coverage: GreyImages,
-    reference: GreyImages,
-    mask: GreyImages,
-) -> tuple[GreyImages, GreyImages]:
-    """Ĝ and G_gt as they are compared: equal exposure, sRGB-encoded, aligned; both 0 outside of the mask.
-
-    grey, reference: linear, weighted by their coverage and mask as they come from the renderer. The exposure is matched
-    in linear light first, because a change of it is not affine in encoded values. A pixel on the rim is encoded as the
-    colour of the object at that place and weighted by the mask again, in both images alike.
-
-    Rendering is linear; the comparison is not. LPIPS and SSIM are made for encoded images, and so are eyes: in linear
-    light a dark blue window in a black door differs by 0.02 and is lost, encoded by 0.15.
-    """
-
-    def own_colour(x: Tensor, weight: Tensor) -> Tensor:
-        return x / weight.clamp_min(1e-3)
-
-    part, target = own_colour(grey, coverage), own_colour(reference, mask)
-    inside = mask.sum(dim=(2, 3), keepdim=True).clamp_min(1e-6)
-    exposure = (target * mask).sum(dim=(2, 3), keepdim=True) / (part * mask).sum(dim=(2, 3), keepdim=True).clamp_min(
-        1e-6 * inside
-    )
-    target = to_srgb(target)
-    return align(to_srgb(part * exposure), target, mask), target * mask
-
-
-def align(grey: GreyImages, reference: GreyImages, mask: GreyImages) -> GreyImages:
-    """Ĝ: ``grey`` with the mean and variance of ``reference`` inside the mask, 0 outside; ``[B,1,H,W]``.
-
-    GenMF, mean–variance normalisation. It removes what one exposure and one contrast can explain, so that a different
-    overall albedo costs nothing.
-    """
-    inside = mask.sum(dim=(2, 3), keepdim=True).clamp_min(1e-6)
-
-    def moments(x: Tensor) -> tuple[Tensor, Tensor]:
-        mean = (x * mask).sum(dim=(2, 3), keepdim=True) / inside
-        variance = ((x - mean).square() * mask).sum(dim=(2, 3), keepdim=True) / inside
-        return mean, (variance + 1e-12).sqrt()
-
-    (mean, deviation), (target_mean, target_deviation) = moments(grey), moments(reference)
-    return ((grey - mean) / deviation * target_deviation + target_mean) * mask
 
 
 def grey_l1(aligned: GreyImages, reference: GreyImages, mask: GreyImages) -> Scalar:

@@ -9,6 +9,8 @@ from torch import Tensor
 
 from genmf_mi.core.config import Weights
 from genmf_mi.losses import appearance, geometry, perceptual
+from genmf_mi.losses.alignment import Alignment
+from genmf_mi.losses.bilateral import bilateral
 from genmf_mi.render.bridge import Buffers
 
 MARGIN = 12
@@ -17,7 +19,9 @@ SMALLEST = 48
 """Pixels that are kept at least: AlexNet cannot process fewer than 31."""
 
 
-def terms(part: Buffers, reference: Buffers, weights: Weights) -> dict[str, Tensor]:
+def terms(
+    part: Buffers, reference: Buffers, weights: Weights, alignment: Alignment, grain: float = 0.0
+) -> dict[str, Tensor]:
     """The terms of the images that have a weight, unweighted, by the names of :class:`Weights`.
 
     Only the part of the frame around the object is compared; what LPIPS averages over is therefore smaller than in the
@@ -26,13 +30,15 @@ def terms(part: Buffers, reference: Buffers, weights: Weights) -> dict[str, Tens
     Args:
         part: the render being improved; without geometry buffers only its appearance is judged.
         reference: the textured object at the same rays; its depth and normals are the teacher's.
+        alignment: of the part to the reference. grain: contrast below which the reference is smoothed.
     """
     window = _window(reference.geometry[2])
     part, reference = part.crop(window), reference.crop(window)
     teacher_depth, teacher_normal, mask = reference.geometry
-    aligned, target = appearance.align_srgb(
-        part.grey, mask if part.coverage is None else part.coverage.detach(), reference.grey, mask
-    )
+    coverage = mask if part.coverage is None else part.coverage.detach()
+    aligned, target = alignment(part.grey, coverage, reference.grey, mask)
+    if grain > 0:
+        target = bilateral(target, mask, grain)
     by_name = {
         "grey_l1": lambda: appearance.grey_l1(aligned, target, mask),
         "grey_lpips": lambda: perceptual.lpips(aligned, target).mean(),

@@ -35,7 +35,7 @@ def evaluate(
     *,
     size_mm: float = 100.0,
     scene: str | Path | None = None,
-    networks: tuple[Network, ...] = ("alex", "vgg"),
+    networks: tuple[Network, ...] = ("alex",),
 ) -> dict[str, Any]:
     """Score a one-colour shape against a textured asset.
 
@@ -47,7 +47,8 @@ def evaluate(
         networks: LPIPS networks to score with.
 
     Returns:
-        ``asset``; ``before`` and ``after``, the scores of :meth:`Evaluator.scores`; and the same two under ``unseen``.
+        ``asset``; ``before``, ``after`` and ``paper_alignment`` as in :meth:`Evaluator.verdicts`; and the same under
+        ``unseen``.
 
     Raises:
         GenmfError: as :func:`genmf_mi.refine`.
@@ -68,11 +69,12 @@ def evaluate(
         after = scenes.load(xml, ply, **asdict(settings))
         metrics: dict[str, Any] = {"asset": textured.name, "unseen": {}}
         pair = problem.evaluation
+        fitted = evaluator.fit_alignment(pair.reference, pair.part)
         for group, views in ((metrics, pair.reference.views), (metrics["unseen"], unseen_views(pair.reference.views))):
-            score = Evaluator(pair.reference, pair.part, views, networks)
-            images: dict[str, torch.Tensor] = {}
+            score = Evaluator(pair.reference, pair.part, views, fitted, networks)
+            parts: dict[str, bridge.Buffers] = {}
             for name, shown, points in (("before", pair.part, problem.surface.vertices), ("after", after, vertices)):
                 score.scene = shown
-                images[name] = score.aligned(torch.as_tensor(points, dtype=torch.float32, device=score.device))
-            group |= score.scores(images)
+                parts[name] = score.render(torch.as_tensor(points, dtype=torch.float32, device=score.device))
+            group |= score.verdicts(parts)
     return metrics

@@ -1,10 +1,12 @@
 """How close the one-colour part comes to the textured object, in numbers.
 
 Protocol: six standard views at 384² with 16 samples per pixel, both images sRGB-encoded. The render is aligned to the
-reference in mean and variance inside the mask (one exposure, one contrast per view), clipped to 0..1, background 0 in
-both. SSIM and LPIPS are taken over the full frame, and once more inside the mask. The g-metrics compare the gradient
-magnitudes. "Unseen" means six views between the standard ones, three under each of two turned lightings that no
-iteration uses.
+reference, clipped to 0..1, background 0 in both. SSIM and LPIPS are taken over the full frame, and once more inside the
+mask. The g-metrics compare the gradient magnitudes. "Unseen" means six views between the standard ones, three under
+each of two turned lightings that no iteration uses.
+
+Scores are given twice: with one exposure for all views, and with the alignment of GenMF, under :data:`PAPER`, so that
+figures can be compared with the paper's (:mod:`genmf_mi.losses.alignment`).
 """
 
 from __future__ import annotations
@@ -17,7 +19,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from genmf_mi.losses.appearance import align_srgb, gradient_magnitude
+from genmf_mi.losses.alignment import Alignment
+from genmf_mi.losses.appearance import gradient_magnitude
 from genmf_mi.losses.lpips_weights import Network
 from genmf_mi.losses.perceptual import features, lpips
 from genmf_mi.render import bridge
@@ -27,6 +30,9 @@ from genmf_mi.render.target import Reference
 RESOLUTION, SAMPLES, SEED = 384, 16, 999
 UNSEEN_TURNS = ((20.0, 0.0), (-15.0, -15.0))
 """Turns of the lights in the unseen set, in degrees."""
+
+PAPER = "paper_alignment"
+"""Key of the scores with the alignment of GenMF."""
 
 Name = TypeVar("Name")
 
@@ -45,19 +51,21 @@ def unseen_views(views: tuple[View, ...]) -> tuple[View, ...]:
 class Evaluator:
     """Scores parts against one reference from one set of views.
 
-    networks: which LPIPS networks to report.
+    alignment: see :func:`fit_alignment`. networks: which LPIPS networks to report. samples: rays per pixel.
     """
 
     reference: Reference
     scene: Scene
     views: tuple[View, ...]
-    networks: tuple[Network, ...] = ("alex", "vgg")
+    alignment: Alignment
+    networks: tuple[Network, ...] = ("alex",)
+    samples: int = SAMPLES
 
     @torch.no_grad()
     def __post_init__(self) -> None:
-        target = self.reference.render(self.views, seed=SEED, samples=SAMPLES)
+        target = self.reference.render(self.views, seed=SEED, samples=self.samples)
         self.target_grey, (_, _, self.mask) = target.grey, target.geometry
-        self.target = align_srgb(target.grey, self.mask, target.grey, self.mask)[1].clamp(0, 1)
+        self.target = self.alignment(target.grey, self.mask, target.grey, self.mask)[1].clamp(0, 1)
         self.target_gradient = gradient_magnitude(self.target)
 
     @property
@@ -67,14 +75,26 @@ class Evaluator:
     @torch.no_grad()
     def render(self, vertices: Tensor, faces: Tensor | None = None) -> bridge.Buffers:
         """The part as it is lit, before any alignment; arguments as for :func:`bridge.render`."""
-        return bridge.render(self.scene, self.views, vertices, faces, seed=SEED, samples=SAMPLES)
+        return bridge.render(self.scene, self.views, vertices, faces, seed=SEED, samples=self.samples)
 
     @torch.no_grad()
-    def aligned(self, vertices: Tensor, faces: Tensor | None = None) -> Tensor:
+    def align(self, part: bridge.Buffers, alignment: Alignment | None = None) -> Tensor:
         """``[B,1,H,W]`` the part as it is compared: encoded, aligned, clipped, 0 outside of the mask."""
-        part = self.render(vertices, faces)
         _, _, coverage = part.geometry
-        return align_srgb(part.grey, coverage, self.target_grey, self.mask)[0].clamp(0, 1)
+        aligned, _ = (alignment or self.alignment)(part.grey, coverage, self.target_grey, self.mask)
+        return aligned.clamp(0, 1)
+
+    def aligned(self, vertices: Tensor, faces: Tensor | None = None) -> Tensor:
+        """:meth:`align` of a shape, arguments as for :func:`bridge.render`."""
+        return self.align(self.render(vertices, faces))
+
+    def verdicts(self, parts: Mapping[str, bridge.Buffers]) -> dict[str, Any]:
+        """:meth:`scores` of the parts by name, with ``outline_iou``, and under :data:`PAPER` as the paper aligns."""
+        table: dict[str, Any] = self.scores({name: self.align(part) for name, part in parts.items()})
+        for name, part in parts.items():
+            table[name]["outline_iou"] = outline_iou(part.geometry[2], self.mask)
+        paper = {name: self.align(part, Alignment("paper")) for name, part in parts.items()}
+        return table | {PAPER: self.scores(paper)}
 
     def score(self, image: Tensor, networks: tuple[Network, ...] | None = None) -> dict[str, float | None]:
         """:meth:`scores` of a single part."""
@@ -116,6 +136,25 @@ class Evaluator:
                 actual = features(image[i : i + 1], network)
                 sums[name] += [float(lpips(actual, expected)), float(lpips(actual, expected, mask=mask))]
         return {name: (float(total[0]) / len(target), float(total[1]) / len(target)) for name, total in sums.items()}
+
+
+def build_evaluator(reference: Reference, part: Scene, networks: tuple[Network, ...]) -> Evaluator:
+    """The evaluator of the standard views; ``part`` holds the part before its refinement."""
+    return Evaluator(reference, part, reference.views, fit_alignment(reference, part), networks)
+
+
+@torch.no_grad()
+def fit_alignment(reference: Reference, part: Scene) -> Alignment:
+    """One exposure for all parts and all views; ``part`` holds the part before its refinement."""
+    shown = bridge.render(part, reference.views, seed=SEED, samples=SAMPLES)
+    target = reference.render(reference.views, seed=SEED, samples=SAMPLES)
+    return Alignment.fit(shown.grey, shown.geometry[2], target.grey, target.geometry[2])
+
+
+def outline_iou(coverage: Tensor, reference: Tensor) -> float:
+    """Intersection over union of two silhouettes ``[B,1,H,W]`` in 0..1, mean over views."""
+    both, either = (f(coverage, reference).sum(dim=(1, 2, 3)) for f in (torch.minimum, torch.maximum))
+    return float((both / either.clamp_min(1e-6)).mean())
 
 
 def ssim(image: Tensor, reference: Tensor, mask: Tensor) -> tuple[float, float]:

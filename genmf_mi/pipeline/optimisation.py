@@ -21,6 +21,7 @@ from genmf_mi.core.progress import Progress
 from genmf_mi.geometry.parameterization import Geometry, Parameterization
 from genmf_mi.geometry.uniform_adam import UniformAdam
 from genmf_mi.losses import objective
+from genmf_mi.losses.alignment import Alignment
 from genmf_mi.pipeline.checkpoint import Checkpoint
 from genmf_mi.pipeline.problem import RefinementProblem
 from genmf_mi.pipeline.run_folder import RunFolder
@@ -36,6 +37,11 @@ WARM_UP, COOL_DOWN = 10, 0.4
 again."""
 PATIENCE = 5
 """Iterations in a row without a single finite gradient after which the refinement gives up."""
+
+POLAR_EVERY = 8
+"""Of so many views, one is from above or from below."""
+POLAR_ELEVATIONS = 35.0, 85.0
+"""Degrees, positive above and negative below; the standard views and their jitter reach as far as the first."""
 
 ExtraTerms = Callable[[Buffers, Buffers, Geometry], dict[str, Tensor]]
 """From the render, the reference and the geometry of an iteration to further terms of the loss, weighted scalars by
@@ -53,6 +59,7 @@ class Optimisation:
     problem: RefinementProblem
     config: RefineConfig
     parameterization: Parameterization
+    alignment: Alignment
     stress: StressStage | None = None
     extra_terms: ExtraTerms | None = None
     iteration: int = 0
@@ -86,8 +93,17 @@ class Optimisation:
         del self.history[self.iteration :]
 
 
-def optimise(optimisation: Optimisation, run: RunFolder | None, progress: Progress, *, resume: bool = False) -> bool:
+def optimise(
+    optimisation: Optimisation,
+    run: RunFolder | None,
+    progress: Progress,
+    *,
+    resume: bool = False,
+    show: Callable[[Tensor, Tensor | None], None] | None = None,
+) -> bool:
     """Make all iterations that are left, saving checkpoints on the way.
+
+    show: is given the vertices and the faces before the first iteration and at every checkpoint.
 
     A KeyboardInterrupt ends the optimisation with the last complete iteration.
 
@@ -98,6 +114,8 @@ def optimise(optimisation: Optimisation, run: RunFolder | None, progress: Progre
         checkpoint, optimisation.history = run.load()
         optimisation.restore(checkpoint)
     progress.stage("refining")
+
+    _show(optimisation, show)
     checkpoint, interrupted = optimisation.checkpoint(), False
     try:
         for record in iterations(optimisation):
@@ -107,6 +125,7 @@ def optimise(optimisation: Optimisation, run: RunFolder | None, progress: Progre
                 memory.trim_malloc()
                 if run is not None:
                     run.save(checkpoint, optimisation.history)
+                _show(optimisation, show)
     except KeyboardInterrupt:
         interrupted = True
         optimisation.restore(checkpoint)  # it may have come in the middle of a step
@@ -114,6 +133,13 @@ def optimise(optimisation: Optimisation, run: RunFolder | None, progress: Progre
     if run is not None:
         run.save(checkpoint, optimisation.history)
     return interrupted
+
+
+@torch.no_grad()
+def _show(optimisation: Optimisation, show: Callable[[Tensor, Tensor | None], None] | None) -> None:
+    if show is not None:
+        geometry = optimisation.parameterization.geometry()
+        show(geometry.vertices, geometry.faces)
 
 
 def iterations(optimisation: Optimisation) -> Iterator[dict[str, Any]]:
@@ -150,7 +176,7 @@ def step(optimisation: Optimisation) -> dict[str, float]:
     geometry = parameterization.geometry()
     image = bridge.render(problem.training.part, [view], geometry.vertices, geometry.faces, seed=index)
 
-    terms = objective.terms(image, reference, config.weights)
+    terms = objective.terms(image, reference, config.weights, optimisation.alignment, config.grain)
     terms |= objective.with_weight(geometry.terms, config.weights)
     weights, figures = asdict(config.weights), {}
     if optimisation.extra_terms:
@@ -177,15 +203,20 @@ def step(optimisation: Optimisation) -> dict[str, float]:
 
 def sample_view(problem: RefinementProblem, config: RefineConfig, index: int) -> View:
     """The view of iteration ``index``, a function of the seed alone: one of the standard views, each equally often,
-    moved at random, with the lights turned at random. Pictures are of one view under one light and stay as they are."""
-    views = problem.training.reference.views
-    order = np.random.default_rng([config.seed, index // len(views)]).permutation(len(views))
-    view = views[int(order[index % len(views)])]
-    if problem.training.reference.pictures:
+    moved at random, with the lights turned at random; and now and then one from high above or far below. Pictures are
+    of one view under one light and stay as they are."""
+    views, pictures = problem.training.reference.views, problem.training.reference.pictures
+    turn_of_standard = index if pictures else index - index // POLAR_EVERY
+    order = np.random.default_rng([config.seed, turn_of_standard // len(views)]).permutation(len(views))
+    view = views[int(order[turn_of_standard % len(views)])]
+    if pictures:
         return view
     rng = np.random.default_rng([config.seed, index, 1])
     azimuth, elevation = rng.uniform(-1, 1, 2) * config.view_jitter
     turn = rng.uniform(-1, 1, 2) * config.light_jitter
+    if index % POLAR_EVERY == POLAR_EVERY - 1:
+        side = 1 if index // POLAR_EVERY % 2 == 0 else -1
+        view, azimuth, elevation = View(0.0, 0.0), rng.uniform(0, 360), side * rng.uniform(*POLAR_ELEVATIONS)
     return View(view.azimuth + azimuth, view.elevation + elevation, (turn[0], turn[1]))
 
 

@@ -20,6 +20,7 @@ from genmf_mi.geometry.displacement_bounds import DisplacementBounds, displaceme
 from genmf_mi.geometry.low_pass import low_frequency, low_pass
 from genmf_mi.geometry.mesh import MeshParameterization
 from genmf_mi.geometry.parameterization import Parameterization
+from genmf_mi.geometry.plain_areas import relief_cap
 from genmf_mi.geometry.sdf import SdfParameterization
 from genmf_mi.mesh import solid, topology
 from genmf_mi.mesh.manifold import is_solid
@@ -68,7 +69,8 @@ class RefinementProblem:
     """The initial part and what it is compared with.
 
     asset: as it was given; an :class:`SdfAsset` without small components.
-    bounds: of the displacement of each vertex, normalised units.
+    bounds: of the displacement of each vertex, normalised units; plain areas are held.
+    loose_bounds: the same without regard to what is plain, for the displacement by brightness.
     training, evaluation: scenes at the resolutions of the optimisation and of the scores.
     contrast: :func:`local_contrast` of the brightness; cap_mm: the cap that it permits.
     report: what was done to make the part solid.
@@ -78,6 +80,7 @@ class RefinementProblem:
     frame: Frame
     surface: InitialSurface
     bounds: DisplacementBounds
+    loose_bounds: DisplacementBounds
     training: ScenePair
     evaluation: ScenePair
     contrast: float
@@ -134,7 +137,7 @@ def build_problem(
     surface, training, evaluation = build_scenes(asset, body, frame, config, xml, folder, pictures)
     contrast = local_contrast(surface.vertices, surface.faces, surface.brightness, DETAIL_MM / frame.mm_per_unit)
     cap_mm = config.max_relief_mm * (1.0 if references else min(1.0, contrast / FULL_CONTRAST))
-    bounds = displacement_bounds(
+    loose = displacement_bounds(
         surface.vertices,
         surface.faces,
         surface.normals,
@@ -142,8 +145,12 @@ def build_problem(
         2 * config.nozzle_mm / frame.mm_per_unit,
         lambda points, directions: bridge.free_ray_distance(training.part.scene, points, directions),
     )
+    bounds = loose
+    if not references:
+        points = surface.vertices * frame.mm_per_unit
+        bounds = loose.capped(relief_cap(points, surface.brightness, cap_mm) / frame.mm_per_unit)
     timer.lap("scenes")
-    return RefinementProblem(asset, frame, surface, bounds, training, evaluation, contrast, cap_mm, body.report)
+    return RefinementProblem(asset, frame, surface, bounds, loose, training, evaluation, contrast, cap_mm, body.report)
 
 
 def build_scenes(

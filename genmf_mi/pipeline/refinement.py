@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +28,12 @@ from genmf_mi.losses import lpips_weights
 from genmf_mi.mesh.self_intersections import self_intersections
 from genmf_mi.pipeline import stress_stage
 from genmf_mi.pipeline.displacement import best_displacement, initial_heights
-from genmf_mi.pipeline.evaluator import Evaluator
+from genmf_mi.pipeline.evaluator import build_evaluator
 from genmf_mi.pipeline.optimisation import ExtraTerms, Optimisation, iterations, optimise
+from genmf_mi.pipeline.preview import Preview
 from genmf_mi.pipeline.problem import build_problem, parameterize
 from genmf_mi.pipeline.results import Outcome, Result, conclude
-from genmf_mi.pipeline.run_folder import RunFolder
+from genmf_mi.pipeline.run_folder import PREVIEW, RunFolder
 from genmf_mi.render import scene_file, variant
 from genmf_mi.stress.report import verification
 
@@ -70,8 +72,7 @@ def refine(
             (``unconstrained``), and ``after``, or of some of these by name; takes minutes.
         force, resume: replace a run in ``out``, or continue an interrupted one.
         save_exr: also write the image buffers of every shape and view.
-        extra_terms: further terms of the loss, see :data:`genmf_mi.pipeline.optimisation.ExtraTerms`.
-        progress: reports what is being done.
+        extra_terms: of the loss, see :data:`genmf_mi.pipeline.optimisation.ExtraTerms`. progress: of the run.
 
     Raises:
         GenmfError: what the command line prints; see :mod:`genmf_mi.core.errors`.
@@ -92,17 +93,18 @@ def refine(
     with tempfile.TemporaryDirectory(prefix="genmf-") as folder:
         problem = build_problem(asset, config, xml, Path(folder), references=references, progress=progress, timer=timer)
         progress.stage("rendering the references")
-        pair = problem.evaluation
-        evaluator = Evaluator(pair.reference, pair.part, problem.training.reference.views, config.networks)
+        evaluator = build_evaluator(problem.evaluation.reference, problem.evaluation.part, config.networks)
         displacement = best_displacement(problem, evaluator, progress)
         parameterization = parameterize(problem, config, device)
         timer.lap("displacement")
 
         stress, left_out = stress_stage.plan(problem, config, device, progress)
-        optimisation = Optimisation(problem, config, parameterization, stress, extra_terms)
+        alignment = replace(evaluator.alignment, kind=config.alignment)
+        optimisation = Optimisation(problem, config, parameterization, alignment, stress, extra_terms)
         if config.method == "relief":
             parameterization.set_heights(initial_heights(problem, displacement))
-            interrupted = optimise(optimisation, run, progress, resume=resume)
+            show = Preview(run.path / PREVIEW, evaluator, problem.surface).update if run else None
+            interrupted = optimise(optimisation, run, progress, resume=resume, show=show)
             state = parameterization.state()
         else:
             interrupted, state = False, parameterization.displaced(displacement.heights)
@@ -151,6 +153,7 @@ def _without_stress(optimisation: Optimisation, progress: Progress) -> tuple[np.
         optimisation.problem,
         optimisation.config,
         optimisation.parameterization,
+        optimisation.alignment,
         extra_terms=optimisation.extra_terms,
     )
     other.restore(optimisation.stage_one)

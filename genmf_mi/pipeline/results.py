@@ -11,12 +11,14 @@ import torch
 from torch import Tensor
 
 from genmf_mi.core import memory
+from genmf_mi.core.colour import to_srgb, value
 from genmf_mi.core.config import RefineConfig
 from genmf_mi.core.progress import Progress
 from genmf_mi.core.timer import Timer
 from genmf_mi.fabrication import files
 from genmf_mi.fabrication.checks import check
 from genmf_mi.geometry.parameterization import RefinedSurface
+from genmf_mi.geometry.plain_areas import is_plain
 from genmf_mi.pipeline.displacement import Displacement
 from genmf_mi.pipeline.evaluator import Evaluator, unseen_views
 from genmf_mi.pipeline.problem import RefinementProblem
@@ -91,7 +93,7 @@ def conclude(
     """
     problem, surface = outcome.problem, outcome.surface
     shapes = shapes_of(outcome)
-    scores = scores_of(outcome, shapes, progress)
+    scores, buffers = scores_of(outcome, shapes, progress)
     timer.lap("evaluate")
 
     progress.stage("checking the part")
@@ -116,7 +118,7 @@ def conclude(
         timer.lap("write")
         # The report tells the time too, so far as it is known
         metrics["seconds"] = {"total": timer.total, **timer.seconds}
-        write_pictures(outcome, run.path, shapes, rgb, metrics, save_exr=save_exr)
+        write_pictures(outcome, run.path, buffers, rgb, metrics, save_exr=save_exr)
     timer.lap("write")
     metrics["seconds"] = {"total": timer.total, **timer.seconds}
     metrics["peak_memory_gb"] = memory.peak_gb()
@@ -140,16 +142,18 @@ def shapes_of(outcome: Outcome) -> Shapes:
     }
 
 
-def scores_of(outcome: Outcome, shapes: Shapes, progress: Progress) -> dict[str, Any]:
-    """Scores of the shapes by name on the standard views and, under ``unseen``, on the unseen ones."""
+def scores_of(outcome: Outcome, shapes: Shapes, progress: Progress) -> tuple[dict[str, Any], dict[str, bridge.Buffers]]:
+    """Scores of the shapes by name on the standard views and, under ``unseen``, on the unseen ones; and the images of
+    the shapes in the standard views."""
     scorer, pair = outcome.evaluator, outcome.problem.evaluation
     progress.stage("scoring")
-    table: dict[str, Any] = scorer.scores({name: scorer.aligned(*shape) for name, shape in shapes.items()})
+    buffers = {name: scorer.render(*shape) for name, shape in shapes.items()}
+    table = scorer.verdicts(buffers)
     if not pair.reference.pictures:
         progress.stage("scoring, unseen views")
-        unseen = Evaluator(pair.reference, pair.part, unseen_views(scorer.views), scorer.networks)
-        table["unseen"] = unseen.scores({name: unseen.aligned(*shape) for name, shape in shapes.items()})
-    return table
+        unseen = Evaluator(pair.reference, pair.part, unseen_views(scorer.views), scorer.alignment, scorer.networks)
+        table["unseen"] = unseen.verdicts({name: unseen.render(*shape) for name, shape in shapes.items()})
+    return table, buffers
 
 
 def metrics_of(outcome: Outcome, scores: dict[str, Any], part_mm: np.ndarray) -> dict[str, Any]:
@@ -166,6 +170,7 @@ def metrics_of(outcome: Outcome, scores: dict[str, Any], part_mm: np.ndarray) ->
             "p99": float(np.percentile(distance, 99)),
             "mean": float(distance.mean()),
         },
+        "plain_distortion_mm": plain_distortion(outcome, distance),
         "contrast": problem.contrast,
         "cap_mm": problem.cap_mm,
         "displacement_amplitude": outcome.displacement.amplitude,
@@ -180,12 +185,31 @@ def metrics_of(outcome: Outcome, scores: dict[str, Any], part_mm: np.ndarray) ->
     return metrics | {"iterations": len(outcome.history), "interrupted": outcome.interrupted}
 
 
+def plain_distortion(outcome: Outcome, distance_mm: np.ndarray) -> dict[str, float]:
+    """How far plain areas moved: mean, 95th percentile and maximum in mm, and their share of the vertices; zeros where
+    the object has no plain areas."""
+    surface, frame = outcome.surface, outcome.problem.frame
+    plain = is_plain(surface.foot * frame.mm_per_unit, to_srgb(value(outcome.rgb)))
+    moved = distance_mm[plain] if plain.any() else np.zeros(1)
+    return {
+        "mean": float(moved.mean()),
+        "p95": float(np.percentile(moved, 95)),
+        "max": float(moved.max()),
+        "share": float(plain.mean()),
+    }
+
+
 def write_pictures(
-    outcome: Outcome, folder: Path, shapes: Shapes, rgb: np.ndarray, metrics: dict[str, Any], *, save_exr: bool
+    outcome: Outcome,
+    folder: Path,
+    buffers: dict[str, bridge.Buffers],
+    rgb: np.ndarray,
+    metrics: dict[str, Any],
+    *,
+    save_exr: bool,
 ) -> None:
     """``before_after.png``, ``report.html`` and, on request, the buffers of every shape and view as OpenEXR."""
     problem, surface, scorer = outcome.problem, outcome.surface, outcome.evaluator
-    buffers = {name: scorer.render(*shape) for name, shape in shapes.items()}
     # The scene still holds the refined shape, which was rendered last
     relief = bridge.render_vertex_values(scorer.scene, scorer.views, surface.faces, outcome.relief_mm)
     colour = problem.evaluation.reference.render_colour(scorer.views)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from genmf_mi.pipeline.checkpoint import Checkpoint
 
 CONFIG, HISTORY, CHECKPOINT, METRICS = "config.yaml", "metrics.jsonl", "checkpoint.pt", "metrics.json"
+PREVIEW = "preview.png"
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,8 @@ class RunFolder:
     """The output folder of one refinement.
 
     ``config.yaml`` is there from the start, ``metrics.jsonl`` holds a line per iteration, ``checkpoint.pt`` holds the
-    state of the optimisation and is removed once the run is complete, ``metrics.json`` comes last.
+    state of the optimisation, ``preview.png`` shows the part so far; both are removed once the run is complete.
+    ``metrics.json`` comes last.
     """
 
     path: Path
@@ -46,7 +48,7 @@ class RunFolder:
             folder.require(settings)
             return folder
         write_text(folder.path / CONFIG, yaml.safe_dump(settings, sort_keys=False))
-        for name in (HISTORY, CHECKPOINT, METRICS):
+        for name in (HISTORY, CHECKPOINT, METRICS, PREVIEW):
             (folder.path / name).unlink(missing_ok=True)
         return folder
 
@@ -120,7 +122,8 @@ class RunFolder:
         return checkpoint, history
 
     def finish(self, metrics: dict[str, Any]) -> None:
-        """Write ``metrics.json`` and remove the checkpoint, unless the run was interrupted."""
+        """Write ``metrics.json``, and remove the checkpoint, unless the run was interrupted, and the preview."""
         write_text(self.path / METRICS, json.dumps(metrics, indent=2) + "\n")
         if not metrics.get("interrupted"):
             (self.path / CHECKPOINT).unlink(missing_ok=True)
+        (self.path / PREVIEW).unlink(missing_ok=True)

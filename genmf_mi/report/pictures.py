@@ -7,6 +7,7 @@ smooth and before and after can be compared by eye.
 from __future__ import annotations
 
 import base64
+from collections.abc import Sequence
 from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
@@ -152,6 +153,23 @@ def write_before_after(path: str | Path, views: list[View], title: str) -> None:
             sheet.paste(picture(view, kind, box, (width, height)), (x, y), corners)
             if column == 0:
                 draw.text((x, y + height + 9), view.label, _FAINT, _font(20))
+    with atomic(path) as temporary:
+        sheet.save(temporary, "PNG")
+
+
+def write_row(path: str | Path, pictures: Sequence[Image.Image], names: Sequence[str]) -> None:
+    """Write pictures of one size side by side, each under its name.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    width, height, header, margin, gap = *pictures[0].size, 34, 12, 8
+    sheet = Image.new("RGB", (2 * margin + len(pictures) * (width + gap) - gap, header + height + margin), _PAPER)
+    draw = ImageDraw.Draw(sheet)
+    for i, (picture, name) in enumerate(zip(pictures, names, strict=True)):
+        x = margin + i * (width + gap)
+        draw.text((x, 8), name, _INK, _font(16, True))
+        sheet.paste(picture, (x, header))
     with atomic(path) as temporary:
         sheet.save(temporary, "PNG")
 

@@ -30,6 +30,8 @@ _WORDS = {
     "g_lpips": "LPIPS of gradients",
     "inside": "inside the silhouette",
     "mask": "inside the silhouette",
+    "outline_iou": "silhouette, intersection over union",
+    "p95": "95th percentile",
     "grey_l1": "grey L1",
     "lpips": "LPIPS",
     "p99": "99th percentile",
@@ -231,6 +233,8 @@ def _comparison(group: tuple[str, ...], table: dict[str, dict[str, object]]) -> 
     titles = {
         (): "Standard views, full frame",
         ("unseen",): "Views and lights the optimiser never saw",
+        ("paper_alignment",): "Standard views, mean and variance aligned as in the paper",
+        ("unseen", "paper_alignment"): "Unseen views, aligned as in the paper",
     }
     return Comparison(group, titles.get(group, label(group).capitalize()), states, rows)
 
@@ -265,4 +269,4 @@ def _direction(name: str) -> int:
     """1 where more is better, -1 where less is better, 0 where neither."""
     if "lpips" in name:
         return -1
-    return 1 if "ssim" in name else 0
+    return 1 if "ssim" in name or name == "outline_iou" else 0

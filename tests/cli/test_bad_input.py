@@ -251,7 +251,7 @@ def test_disk_full_while_writing(capsys, monkeypatch, two_views, full_disk):
         patch.setattr(fabrication, "write_3mf", full)
         assert cli.main(arguments) == 2
     assert re.search(r"runs/toy/refined\.3mf: File too large\. Free some space", printed_error(capsys))
-    assert set(os.listdir("runs/toy")) == {CHECKPOINT, "metrics.jsonl", "config.yaml"}
+    assert set(os.listdir("runs/toy")) == {CHECKPOINT, "metrics.jsonl", "config.yaml", "preview.png"}
     assert temporary_files() == []
 
     assert cli.main([*arguments, "--resume"]) == 0

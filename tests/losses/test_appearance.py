@@ -1,4 +1,4 @@
-"""The alignment of grey images, and what single terms of the appearance give on images made for them."""
+"""What single terms of the appearance give on images made for them."""
 
 from __future__ import annotations
 
@@ -6,106 +6,10 @@ import numpy as np
 import pytest
 import torch
 from jaxtyping import TypeCheckError
-from loss_images import GREY, MASK, NORMAL, REFERENCE, SIZE, TEACHER_NORMAL, disc, eroded, gradients, tensors
+from loss_images import GREY, MASK, NORMAL, REFERENCE, SIZE, TEACHER_NORMAL, eroded, gradients, tensors
 from skimage.metrics import structural_similarity
 
-from genmf_mi.core.colour import to_srgb
 from genmf_mi.losses import appearance, geometry
-
-
-def oracle_align(grey, reference, mask):
-    out = np.zeros_like(grey)
-    for i, (g, r, m) in enumerate(zip(grey, reference, mask, strict=True)):
-
-        def moments(x, m=m):
-            mean = (x * m).sum() / m.sum()
-            return mean, np.sqrt((m * (x - mean) ** 2).sum() / m.sum())
-
-        (mean, deviation), (wanted_mean, wanted_deviation) = moments(g), moments(r)
-        out[i] = ((g - mean) / deviation * wanted_deviation + wanted_mean) * m
-    return out
-
-
-class TestAlign:
-    def test_value(self):
-        aligned = appearance.align(*tensors(GREY, REFERENCE, MASK))
-        np.testing.assert_allclose(aligned, oracle_align(GREY, REFERENCE, MASK), atol=1e-9)
-
-    @pytest.mark.parametrize(("gain", "offset"), [(0.3, 0.4), (5.0, -1.0)])
-    def test_exposure_and_contrast_cost_nothing(self, gain, offset):
-        grey, reference, mask = tensors(GREY, REFERENCE, MASK)
-        aligned, again = (appearance.align(x, reference, mask) for x in (grey, gain * grey + offset))
-        torch.testing.assert_close(again, aligned, rtol=0, atol=1e-9)
-
-    def test_a_negative_is_no_gain(self):
-        """Contrast may be stretched but not turned over."""
-        reference, mask = tensors(REFERENCE, MASK)
-        turned = appearance.align(1 - reference, reference, mask)
-        assert appearance.grey_l1(turned, reference, mask) > 0.1
-        torch.testing.assert_close(appearance.align(reference, reference, mask), reference * mask)
-        assert (turned[mask == 0] == 0).all()
-
-    def test_gradient(self):
-        grey, reference, mask = tensors(GREY[:1, :, 8:16, 8:16], REFERENCE[:1, :, 8:16, 8:16], MASK[:1, :, 8:16, 8:16])
-        assert torch.autograd.gradcheck(lambda x: appearance.align(x, reference, mask), grey.requires_grad_())
-
-    def test_an_image_of_one_value_stays_quiet(self):
-        """Its deviation is round-off, which must not be blown up to the reference's contrast."""
-        _, reference, mask = (x.float() for x in tensors(GREY, REFERENCE, MASK))
-        flat = torch.full_like(reference, 0.3)
-        spread = (appearance.align(flat, reference, mask) - reference.mean() * mask)[mask == 1].std()
-        assert spread < 0.2 * reference.std()
-
-
-class TestAlignSrgb:
-    """Both images are brought to equal exposure in linear light, sRGB-encoded and aligned."""
-
-    rim = MASK * 0.9 + 0.1 * disc(SIZE, 2) ** 2
-
-    def test_against_numpy(self):
-        grey, reference = GREY * self.rim, REFERENCE * MASK
-        seen, target = appearance.align_srgb(*tensors(grey, self.rim, reference, MASK))
-        own, wanted = grey / np.maximum(self.rim, 1e-3), reference / np.maximum(MASK, 1e-3)
-        exposure = (wanted * MASK).sum(axis=(2, 3), keepdims=True) / (own * MASK).sum(axis=(2, 3), keepdims=True)
-        encoded = to_srgb(wanted).astype(np.float64)
-        np.testing.assert_allclose(target, encoded * MASK, atol=1e-6)
-        np.testing.assert_allclose(seen, oracle_align(to_srgb(np.maximum(own, 0) * exposure), encoded, MASK), atol=1e-5)
-
-    def test_encoding(self):
-        linear = torch.linspace(-0.1, 1.2, 500, dtype=torch.float64, requires_grad=True)
-        encoded = to_srgb(linear)
-        np.testing.assert_allclose(encoded.detach(), to_srgb(np.maximum(linear.detach().numpy(), 0)), atol=1e-6)
-        encoded.sum().backward()
-        assert linear.grad.isfinite().all() and (linear.grad[linear > 0] > 0).all()
-
-    def test_exposure_costs_nothing(self):
-        """Twice the light, or half, in linear light: the encoding is no straight line."""
-        grey, mask, reference = tensors(GREY * MASK, MASK, REFERENCE * MASK)
-        plain, _ = appearance.align_srgb(grey, mask, reference, mask)
-        for gain in (0.25, 1.7):
-            torch.testing.assert_close(appearance.align_srgb(gain * grey, mask, reference, mask)[0], plain)
-
-    def test_itself(self):
-        reference, mask = tensors(REFERENCE * MASK, MASK)
-        seen, target = appearance.align_srgb(0.3 * reference, mask, reference, mask)
-        torch.testing.assert_close(seen, target, rtol=0, atol=1e-6)
-
-    def test_black_or_empty(self):
-        """An object without light, a part that left the frame, nothing at all: no NaN."""
-        reference, mask = tensors(REFERENCE * MASK, MASK)
-        nothing = torch.zeros_like(mask)
-        black, gone = (nothing, mask, reference, mask), (nothing, nothing, reference, mask)
-        for images in (black, gone, (reference, mask, nothing, mask), (nothing, nothing, nothing, nothing)):
-            part = images[0].clone().requires_grad_()
-            seen, target = appearance.align_srgb(part, *images[1:])
-            seen.square().sum().backward()
-            assert seen.isfinite().all() and target.isfinite().all() and part.grad.isfinite().all()
-
-    def test_gradient(self):
-        window = np.s_[:1, :, 8:16, 8:16]
-        grey, mask, reference = tensors(GREY[window], MASK[window], REFERENCE[window])
-        grey.requires_grad_()
-        assert torch.autograd.gradcheck(lambda x: appearance.align_srgb(x, mask, reference, mask)[0], grey)
 
 
 def test_ssim_loss_is_one_minus_ssim_inside():

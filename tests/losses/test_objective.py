@@ -10,10 +10,12 @@ from loss_images import disc, smooth, unit
 
 from genmf_mi.core.config import Weights
 from genmf_mi.losses import appearance, geometry, objective
+from genmf_mi.losses.alignment import Alignment
 from genmf_mi.render.bridge import Buffers
 
 OF_THE_GEOMETRY = {"sdf_tv", "l_dev", "flexi_weight_reg"}
 """Terms of a field on a grid, whatever is rendered."""
+ROOM = Alignment("room", 0.9)
 OF_THE_STRESS = {"stress_mean", "stress_variance", "stress_band", "stress_peak"}
 
 
@@ -35,10 +37,10 @@ class TestObjective:
 
     def test_terms_are_the_functions_of_that_name(self):
         part, reference = buffers(0), buffers(10)
-        values = objective.terms(part, reference, self.every)
+        values = objective.terms(part, reference, self.every, ROOM)
         assert set(values) == set(Weights.__dataclass_fields__) - OF_THE_GEOMETRY - OF_THE_STRESS
         mask = reference.coverage
-        images = appearance.align_srgb(part.grey, part.coverage, reference.grey, mask)
+        images = ROOM(part.grey, part.coverage, reference.grey, mask)
         expected = {
             "grey_l1": appearance.grey_l1(*images, mask),
             "ssim": appearance.ssim_loss(*images, mask),
@@ -64,17 +66,17 @@ class TestObjective:
         assert set(objective.with_weight(terms, replace(self.every, l_dev=0.0))) == OF_THE_GEOMETRY - {"l_dev"}
 
     def test_weighted_sum(self):
-        values = objective.terms(buffers(0), buffers(10), self.every)
+        values = objective.terms(buffers(0), buffers(10), self.every, ROOM)
         expected = sum(getattr(self.every, name) * value.item() for name, value in values.items())
         assert objective.weighted_sum(values, vars(self.every)).item() == pytest.approx(expected, rel=1e-5)
 
     def test_no_weight_no_term(self):
         weights = Weights(**dict.fromkeys(Weights.__dataclass_fields__, 0.0) | {"gradient_sign": 2.0})
-        assert set(objective.terms(buffers(0), buffers(10), weights)) == {"gradient_sign"}
+        assert set(objective.terms(buffers(0), buffers(10), weights, ROOM)) == {"gradient_sign"}
 
     def test_without_geometry_buffers_only_the_appearance(self):
         part = Buffers(buffers(0).grey, None, None, None)
-        assert set(objective.terms(part, buffers(10), self.every)) == {
+        assert set(objective.terms(part, buffers(10), self.every, ROOM)) == {
             "grey_l1",
             "grey_lpips",
             "ssim",
@@ -87,16 +89,16 @@ class TestObjective:
         part, reference = buffers(0), buffers(10)
         for image in (part.grey, part.depth, part.normal):
             image.requires_grad_()
-        objective.weighted_sum(objective.terms(part, reference, self.every), vars(self.every)).backward()
+        objective.weighted_sum(objective.terms(part, reference, self.every, ROOM), vars(self.every)).backward()
         for image in (part.grey, part.depth, part.normal):
             assert image.grad.isfinite().all() and image.grad.abs().max() > 0
 
     def test_a_plate_seen_edge_on(self):
         """What is left of the frame must still be large enough for the network."""
         part, reference = buffers(0, 64, thin=True), buffers(10, 64, thin=True)
-        values = objective.terms(part, reference, self.every)
+        values = objective.terms(part, reference, self.every, ROOM)
         assert all(value.isfinite() for value in values.values())
 
     def test_an_empty_frame(self):
         empty = Buffers(*(torch.zeros(1, channels, 64, 64) for channels in (1, 1, 3, 1)))
-        assert all(value.isfinite() for value in objective.terms(empty, empty, self.every).values())
+        assert all(value.isfinite() for value in objective.terms(empty, empty, self.every, ROOM).values())

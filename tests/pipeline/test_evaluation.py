@@ -15,6 +15,7 @@ from skimage.metrics import structural_similarity
 import genmf_mi
 from genmf_mi.assets.asset import Asset
 from genmf_mi.core.config import RefineConfig
+from genmf_mi.losses.alignment import Alignment
 from genmf_mi.pipeline import evaluation, evaluator
 from genmf_mi.pipeline.evaluator import UNSEEN_TURNS, Evaluator, ssim, unseen_views
 from genmf_mi.render import bridge, scene, scene_file, target, variant
@@ -61,7 +62,8 @@ def evaluators(tmp_path_factory, small, lpips_weights) -> dict[str, Evaluator]:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(target, "FINEST", 4 * len(faces))
             reference = target.build_reference(xml, folder, vertices, faces, normals, albedo, options)
-        made[name] = Evaluator(reference, scene.load(xml, folder / "part.ply", **asdict(options)), VIEWS)
+        part = scene.load(xml, folder / "part.ply", **asdict(options))
+        made[name] = Evaluator(reference, part, VIEWS, evaluator.fit_alignment(reference, part), ("alex", "vgg"))
     return made
 
 
@@ -93,7 +95,7 @@ class TestEvaluator:
         assert score["ssim_mask"] < score["ssim"] and score["lpips_mask_alex"] > score["lpips_alex"]
 
     def test_exposure_and_paint_cost_nothing(self, evaluators):
-        """A part of another grey looks the same after alignment."""
+        """A part of another grey looks the same after alignment, whose exposure is that of the part in its paint."""
         scorer = evaluators["striped"]
         before = scorer.aligned(moved())
         key = f"{scorer.scene.shape_id}.bsdf.albedo.value"
@@ -101,7 +103,9 @@ class TestEvaluator:
         scorer.scene.params[key] = paint / 2
         scorer.scene.params.update()
         try:
-            assert (scorer.aligned(moved()) - before).abs().max() < 1e-4
+            again = replace(scorer, alignment=evaluator.fit_alignment(scorer.reference, scorer.scene))
+            assert again.alignment.exposure == pytest.approx(2 * scorer.alignment.exposure, rel=1e-2)
+            assert (again.aligned(moved()) - before).abs().max() < 5e-3
         finally:
             scorer.scene.params[key] = paint
             scorer.scene.params.update()
@@ -113,7 +117,8 @@ class TestEvaluator:
         for x in (image, scorer.target):
             assert x.min() >= 0 and 0.5 < x.max() <= 1
             assert (x[scorer.mask == 0] == 0).all()
-        for ours, theirs, mask in zip(image, scorer.target, scorer.mask, strict=True):
+        in_the_paper = scorer.align(scorer.render(moved(0.006)), Alignment("paper"))
+        for ours, theirs, mask in zip(in_the_paper, scorer.target, scorer.mask, strict=True):
             weights = mask.numpy().ravel()
             assert np.average(ours.numpy().ravel(), weights=weights) == pytest.approx(
                 np.average(theirs.numpy().ravel(), weights=weights), abs=0.03
@@ -197,11 +202,13 @@ class TestEvaluate:
             for name in ("bumpy.glb", "bumpy.stl")
         ]
         for metrics in results:
-            assert set(metrics) == {"asset", "before", "after", "unseen"}
-            assert set(metrics["unseen"]) == {"before", "after"}
+            assert set(metrics) == {"asset", "before", "after", "unseen", "paper_alignment"}
+            assert set(metrics["unseen"]) == {"before", "after", "paper_alignment"}
             assert metrics["asset"] == "striped"
             for block in (metrics, metrics["unseen"]):
-                assert set(block["before"]) == set(block["after"]) == KEYS
+                assert set(block["before"]) == set(block["after"]) == KEYS | {"outline_iou"}
+                assert set(block["paper_alignment"]["after"]) == KEYS
+                assert block["before"]["outline_iou"] > 0.999 > block["after"]["outline_iou"]
                 assert block["after"]["g_ssim"] > block["before"]["g_ssim"]
         for name in ("ssim", "lpips_alex", "g_ssim"):
             values = [metrics["after"][name] for metrics in results]

@@ -123,6 +123,10 @@ class TestMetrics:
             for row in ("before", "displacement", "after"):
                 assert set(block[row]) >= SCORES
                 assert all(np.isfinite(value) for value in block[row].values()), row
+            assert set(block["paper_alignment"]) == {"before", "displacement", "after"}
+            assert block["before"]["outline_iou"] > 0.999 > block["after"]["outline_iou"] > 0.95
+        plain = metrics["plain_distortion_mm"]
+        assert 0 <= plain["mean"] <= plain["p95"] <= plain["max"] <= CONFIG.max_relief_mm and 0 <= plain["share"] <= 1
         assert set(metrics["relief_mm"]) == {"max", "p99", "mean"}
         assert {"watertight", "bodies", "self_intersections", "volume_mm3"} <= set(metrics["solid"])
         assert metrics["iterations"] == 6 and metrics["interrupted"] is False and metrics["asset"] == "toy"

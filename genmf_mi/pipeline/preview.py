@@ -1,0 +1,50 @@
+"""The first picture of a run: what the part looks like so far, while the optimiser is still at work."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+from PIL.Image import Image
+from torch import Tensor
+
+from genmf_mi.pipeline.evaluator import SEED, Evaluator
+from genmf_mi.pipeline.problem import InitialSurface
+from genmf_mi.render import bridge
+from genmf_mi.report.pictures import compose, plastic, write_row
+
+SAMPLES = 8
+NAMES = "textured model", "printed as it is", "so far"
+
+
+class Preview:
+    """``preview.png`` of one standard view, the one in which the textured object has the most contrast.
+
+    Args:
+        path: of the picture. surface: of the part before its refinement.
+    """
+
+    def __init__(self, path: Path, evaluator: Evaluator, surface: InitialSurface) -> None:
+        self._path, self._evaluator = path, evaluator
+        target, mask = evaluator.target, evaluator.mask
+        inside = mask.sum(dim=(1, 2, 3)).clamp_min(1e-6)
+        mean = (target * mask).sum(dim=(1, 2, 3)) / inside
+        contrast = ((target - mean[:, None, None, None]).square() * mask).sum(dim=(1, 2, 3)) / inside
+        index = int(contrast.argmax())
+        self._view = evaluator.views[index]
+        colour = evaluator.reference.render_colour([self._view], seed=SEED, samples=SAMPLES)[0]
+        before = self._render(
+            torch.as_tensor(surface.vertices, dtype=torch.float32, device=evaluator.device),
+            torch.as_tensor(surface.faces, device=evaluator.device),
+        )
+        self._panels = (compose(colour, mask[index, 0].cpu().numpy()), before)
+
+    def update(self, vertices: Tensor, faces: Tensor | None = None) -> None:
+        """Show the part as it is now; arguments as for :func:`bridge.render`. Raises :class:`OutputError`."""
+        write_row(self._path, (*self._panels, self._render(vertices, faces)), NAMES)
+
+    @torch.no_grad()
+    def _render(self, vertices: Tensor, faces: Tensor | None) -> Image:
+        part = bridge.render(self._evaluator.scene, [self._view], vertices, faces, seed=SEED, samples=SAMPLES)
+        coverage = part.geometry[2]
+        return compose(plastic(part.grey[0, 0].cpu().numpy()), coverage[0, 0].cpu().numpy())
