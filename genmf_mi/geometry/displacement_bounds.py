@@ -39,8 +39,8 @@ class DisplacementBounds:
     outward: np.ndarray
     tangential: np.ndarray
 
-    def capped(self, cap: np.ndarray) -> DisplacementBounds:
-        """With another cap ``[V]`` at each vertex."""
+    def capped(self, cap: float | np.ndarray) -> DisplacementBounds:
+        """Motion along and across the normal together within ``cap``, one for all vertices or ``[V]``."""
         inward, outward = np.minimum(self.inward, cap), np.minimum(self.outward, cap)
         tangential = np.minimum(self.tangential, 0.5 * np.minimum(inward, outward))
         upright = np.sqrt(np.maximum(cap**2 - tangential**2, 0))
@@ -76,10 +76,7 @@ def displacement_bounds(
     inward, outward = (_spread_minimum(x, faces) for x in (inward, outward))
     pinned = base(vertices, faces)
     inward[pinned] = outward[pinned] = 0
-    tangential = np.minimum(TANGENTIAL_LIMIT * _shortest_edge(vertices, faces), 0.5 * np.minimum(inward, outward))
-    # Together they must stay within the cap
-    upright = np.sqrt(cap**2 - tangential**2)
-    return DisplacementBounds(np.minimum(inward, upright), np.minimum(outward, upright), tangential)
+    return DisplacementBounds(inward, outward, TANGENTIAL_LIMIT * _shortest_edge(vertices, faces)).capped(cap)
 
 
 def curvatures(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

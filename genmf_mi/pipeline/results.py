@@ -98,7 +98,8 @@ def conclude(
 
     progress.stage("checking the part")
     part_mm = problem.frame.to_print(surface.vertices)
-    rgb, metrics = outcome.rgb, metrics_of(outcome, scores, part_mm)
+    rgb = outcome.rgb
+    metrics = metrics_of(outcome, scores, part_mm, rgb)
     _warn(metrics, progress)
     result = Result(
         vertices_mm=part_mm,
@@ -156,8 +157,8 @@ def scores_of(outcome: Outcome, shapes: Shapes, progress: Progress) -> tuple[dic
     return table, buffers
 
 
-def metrics_of(outcome: Outcome, scores: dict[str, Any], part_mm: np.ndarray) -> dict[str, Any]:
-    """The contents of ``metrics.json`` but for files, seconds and memory."""
+def metrics_of(outcome: Outcome, scores: dict[str, Any], part_mm: np.ndarray, rgb: np.ndarray) -> dict[str, Any]:
+    """The contents of ``metrics.json`` but for files, seconds and memory; ``rgb`` as in :class:`Result`."""
     problem, surface = outcome.problem, outcome.surface
     distance = np.linalg.norm(surface.offsets, axis=1) * problem.frame.mm_per_unit
     report = dict(surface.report)
@@ -170,7 +171,7 @@ def metrics_of(outcome: Outcome, scores: dict[str, Any], part_mm: np.ndarray) ->
             "p99": float(np.percentile(distance, 99)),
             "mean": float(distance.mean()),
         },
-        "plain_distortion_mm": plain_distortion(outcome, distance),
+        "plain_distortion_mm": plain_distortion(outcome, distance, rgb),
         "contrast": problem.contrast,
         "cap_mm": problem.cap_mm,
         "displacement_amplitude": outcome.displacement.amplitude,
@@ -185,11 +186,11 @@ def metrics_of(outcome: Outcome, scores: dict[str, Any], part_mm: np.ndarray) ->
     return metrics | {"iterations": len(outcome.history), "interrupted": outcome.interrupted}
 
 
-def plain_distortion(outcome: Outcome, distance_mm: np.ndarray) -> dict[str, float]:
+def plain_distortion(outcome: Outcome, distance_mm: np.ndarray, rgb: np.ndarray) -> dict[str, float]:
     """How far plain areas moved: mean, 95th percentile and maximum in mm, and their share of the vertices; zeros where
     the object has no plain areas."""
     surface, frame = outcome.surface, outcome.problem.frame
-    plain = is_plain(surface.foot * frame.mm_per_unit, to_srgb(value(outcome.rgb)))
+    plain = is_plain(surface.foot * frame.mm_per_unit, to_srgb(value(rgb)))
     moved = distance_mm[plain] if plain.any() else np.zeros(1)
     return {
         "mean": float(moved.mean()),
