@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from genmf_mi.losses import lpips_weights
 from genmf_mi.losses.lpips_weights import Network
 from genmf_mi.mesh import topology
 from genmf_mi.pipeline import evaluator
-from genmf_mi.pipeline.evaluator import Evaluator, unseen_views
+from genmf_mi.pipeline.evaluator import unseen_views
 from genmf_mi.pipeline.problem import build_problem
 from genmf_mi.render import bridge, scene_file, variant
 from genmf_mi.render import scene as scenes
@@ -69,9 +69,9 @@ def evaluate(
         after = scenes.load(xml, ply, **asdict(settings))
         metrics: dict[str, Any] = {"asset": textured.name, "unseen": {}}
         pair = problem.evaluation
-        fitted = evaluator.fit_alignment(pair.reference, pair.part)
-        for group, views in ((metrics, pair.reference.views), (metrics["unseen"], unseen_views(pair.reference.views))):
-            score = Evaluator(pair.reference, pair.part, views, fitted, networks)
+        standard = evaluator.build_evaluator(pair.reference, pair.part, networks)
+        unseen = replace(standard, views=unseen_views(standard.views))
+        for group, score in ((metrics, standard), (metrics["unseen"], unseen)):
             parts: dict[str, bridge.Buffers] = {}
             for name, shown, points in (("before", pair.part, problem.surface.vertices), ("after", after, vertices)):
                 score.scene = shown

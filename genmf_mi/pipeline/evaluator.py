@@ -51,7 +51,7 @@ def unseen_views(views: tuple[View, ...]) -> tuple[View, ...]:
 class Evaluator:
     """Scores parts against one reference from one set of views.
 
-    alignment: see :func:`fit_alignment`. networks: which LPIPS networks to report. samples: rays per pixel.
+    alignment: see :func:`build_evaluator`. networks: which LPIPS networks to report. samples: rays per pixel.
     """
 
     reference: Reference
@@ -138,17 +138,16 @@ class Evaluator:
         return {name: (float(total[0]) / len(target), float(total[1]) / len(target)) for name, total in sums.items()}
 
 
-def build_evaluator(reference: Reference, part: Scene, networks: tuple[Network, ...]) -> Evaluator:
-    """The evaluator of the standard views; ``part`` holds the part before its refinement."""
-    return Evaluator(reference, part, reference.views, fit_alignment(reference, part), networks)
-
-
 @torch.no_grad()
-def fit_alignment(reference: Reference, part: Scene) -> Alignment:
-    """One exposure for all parts and all views; ``part`` holds the part before its refinement."""
+def build_evaluator(reference: Reference, part: Scene, networks: tuple[Network, ...]) -> Evaluator:
+    """The evaluator of the standard views, with one exposure for all parts and all views.
+
+    part: holds the part before its refinement.
+    """
+    evaluator = Evaluator(reference, part, reference.views, Alignment(), networks)
     shown = bridge.render(part, reference.views, seed=SEED, samples=SAMPLES)
-    target = reference.render(reference.views, seed=SEED, samples=SAMPLES)
-    return Alignment.fit(shown.grey, shown.geometry[2], target.grey, target.geometry[2])
+    evaluator.alignment = Alignment.fit(shown.grey, shown.geometry[2], evaluator.target_grey, evaluator.mask)
+    return evaluator
 
 
 def outline_iou(coverage: Tensor, reference: Tensor) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -146,13 +146,13 @@ def shapes_of(outcome: Outcome) -> Shapes:
 def scores_of(outcome: Outcome, shapes: Shapes, progress: Progress) -> tuple[dict[str, Any], dict[str, bridge.Buffers]]:
     """Scores of the shapes by name on the standard views and, under ``unseen``, on the unseen ones; and the images of
     the shapes in the standard views."""
-    scorer, pair = outcome.evaluator, outcome.problem.evaluation
+    scorer = outcome.evaluator
     progress.stage("scoring")
     buffers = {name: scorer.render(*shape) for name, shape in shapes.items()}
     table = scorer.verdicts(buffers)
-    if not pair.reference.pictures:
+    if not scorer.reference.pictures:
         progress.stage("scoring, unseen views")
-        unseen = Evaluator(pair.reference, pair.part, unseen_views(scorer.views), scorer.alignment, scorer.networks)
+        unseen = replace(scorer, views=unseen_views(scorer.views))
         table["unseen"] = unseen.verdicts({name: unseen.render(*shape) for name, shape in shapes.items()})
     return table, buffers
 

@@ -63,7 +63,7 @@ def evaluators(tmp_path_factory, small, lpips_weights) -> dict[str, Evaluator]:
             patch.setattr(target, "FINEST", 4 * len(faces))
             reference = target.build_reference(xml, folder, vertices, faces, normals, albedo, options)
         part = scene.load(xml, folder / "part.ply", **asdict(options))
-        made[name] = Evaluator(reference, part, VIEWS, evaluator.fit_alignment(reference, part), ("alex", "vgg"))
+        made[name] = replace(evaluator.build_evaluator(reference, part, ("alex", "vgg")), views=VIEWS)
     return made
 
 
@@ -103,7 +103,7 @@ class TestEvaluator:
         scorer.scene.params[key] = paint / 2
         scorer.scene.params.update()
         try:
-            again = replace(scorer, alignment=evaluator.fit_alignment(scorer.reference, scorer.scene))
+            again = replace(evaluator.build_evaluator(scorer.reference, scorer.scene, ()), views=VIEWS)
             assert again.alignment.exposure == pytest.approx(2 * scorer.alignment.exposure, rel=1e-2)
             assert (again.aligned(moved()) - before).abs().max() < 5e-3
         finally:
