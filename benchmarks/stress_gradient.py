@@ -84,7 +84,7 @@ def step(phi: torch.Tensor, predictor: Predictor, step_mm: float, edge_mm: float
 
     before = band(vertices)
     before.backward()
-    smoother = ImplicitDiffusion(faces, len(vertices), SMOOTHING)
+    smoother = ImplicitDiffusion.large_steps(faces, len(vertices), SMOOTHING)
     with torch.no_grad():
         assert vertices.grad is not None
         move = -smoother(smoother(vertices.grad))

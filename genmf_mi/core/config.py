@@ -19,7 +19,7 @@ class Weights:
     """Perceptual difference of the grey images (LPIPS, AlexNet)."""
     gradient: float = 1.0
     """L_geo: magnitude and direction of the Sobel gradients at two scales."""
-    ssim: float = 1.0
+    ssim: float = 4.0
     """1 − SSIM of the grey images, which keeps plain areas plain; not in the paper."""
     gradient_ssim: float = 1.0
     """1 − SSIM of the gradient magnitudes; not in the paper."""
@@ -71,20 +71,20 @@ class RefineConfig:
     """Relief finer than the nozzle is filtered out; walls are kept at twice this thickness."""
     method: Literal["relief", "displacement"] = "relief"
     """Optimise the relief, or only offset the surface by brightness (the baseline)."""
-    iterations: int = 250
+    iterations: int = 150
     """Optimisation steps, one random view each."""
     resolution: int = 384
     """Pixels per side of the images compared."""
     samples: int = 4
     """Rays per pixel."""
-    max_faces: int = 160_000
+    max_faces: int = 120_000
     """Face budget of the refined mesh; the cells of a grid decide where the shape is Φ."""
     edge_mm: float = 0.0
     """Edge length of the refined mesh (not of one out of Φ), longer if the face budget demands it; 0: what nozzle and
     pixels can show."""
-    learning_rate: float = 0.0125
+    learning_rate: float = 0.006
     """Step on the parameters of the surface, in normalised units."""
-    smoothing: float = 30.0
+    smoothing: float = 4.0
     """λ of the large-steps preconditioner: higher spreads a step more widely."""
     gradient_floor: float = 5e-4
     """Gradients well below this move the surface in proportion instead of at full steps."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import igl
 import numpy as np
 import torch
 from cholespy import CholeskySolverF, MatrixType  # pyright: ignore[reportAttributeAccessIssue]  (compiled)
@@ -22,22 +23,27 @@ def laplacian(cells: np.ndarray, count: int) -> csr_matrix:
     return diags(np.asarray(adjacency.sum(axis=1)).ravel()).tocsr() - adjacency
 
 
-class ImplicitDiffusion:
-    """x = (I + λL)⁻¹ u, differentiable; factorised once by cholespy, on the CPU or the GPU.
+def cotangent_laplacian(vertices: np.ndarray, faces: np.ndarray) -> csr_matrix:
+    """The cotangent Laplacian, positive semidefinite, ``[V,V]``, without its negative weights.
 
-    With u as the variable that is optimised, this is the preconditioner of *Large Steps in Inverse Rendering of
-    Geometry* (Nicolet, Jacobson and Jakob, 2021).
+    These come with obtuse triangles and would let a filter overshoot.
+    """
+    weights = igl.cotmatrix(vertices, faces).tocoo()
+    across = (weights.row != weights.col) & (weights.data > 0)
+    adjacency = coo_matrix((weights.data[across], (weights.row[across], weights.col[across])), weights.shape).tocsr()
+    return diags(np.asarray(adjacency.sum(axis=1)).ravel()).tocsr() - adjacency
+
+
+class ImplicitDiffusion:
+    """x = (M + L)⁻¹ u with a diagonal M, differentiable; factorised once by cholespy, on the CPU or the GPU.
 
     Args:
-        cells: as for :func:`laplacian`.
-        count: number of vertices.
-        smoothing: λ.
+        stiffness: L ``[V,V]``, with any factor in it. mass: the diagonal of M ``[V]``.
     """
 
-    def __init__(self, cells: np.ndarray, count: int, smoothing: float, device: str = "cpu") -> None:
-        matrix = laplacian(cells, count) * smoothing
-        matrix.setdiag(matrix.diagonal() + 1)
-        matrix = matrix.tocoo()
+    def __init__(self, stiffness: csr_matrix, mass: np.ndarray, device: str = "cpu") -> None:
+        count = len(mass)
+        matrix = (stiffness + diags(mass)).tocoo()
         rows, columns = (torch.as_tensor(x, dtype=torch.int32, device=device) for x in (matrix.row, matrix.col))
         values = torch.as_tensor(matrix.data, dtype=torch.float64, device=device)
         self._solver = CholeskySolverF(count, rows, columns, values, MatrixType.COO)
@@ -45,12 +51,21 @@ class ImplicitDiffusion:
             torch.stack([rows, columns]).long(), values.float(), (count, count), check_invariants=False
         ).coalesce()
 
+    @classmethod
+    def large_steps(cls, cells: np.ndarray, count: int, smoothing: float, device: str = "cpu") -> ImplicitDiffusion:
+        """(I + λL)⁻¹ with the combinatorial Laplacian. With u as the variable that is optimised, this is the
+        preconditioner of *Large Steps in Inverse Rendering of Geometry* (Nicolet, Jacobson and Jakob, 2021).
+
+        cells, count: as for :func:`laplacian`. smoothing: λ.
+        """
+        return cls(laplacian(cells, count) * smoothing, np.ones(count), device)
+
     def __call__(self, u: Tensor) -> Tensor:
         """``[V,k]`` to ``[V,k]``."""
         return _Solve.apply(u, self._solver)
 
     def inverse(self, x: Tensor) -> Tensor:
-        """u = (I + λL) x."""
+        """u = (M + L) x."""
         return self._matrix @ x
 
 

@@ -17,6 +17,7 @@ from torch import Tensor
 from genmf_mi.geometry.back_off import back_off
 from genmf_mi.geometry.displacement_bounds import DisplacementBounds
 from genmf_mi.geometry.laplacian import ImplicitDiffusion
+from genmf_mi.geometry.low_pass import LowPass
 from genmf_mi.geometry.mesh_distance import MeshDistance
 from genmf_mi.geometry.parameterization import FindSelfIntersections, Geometry, RefinedSurface
 
@@ -43,7 +44,7 @@ class MeshParameterization:
         bounds: DisplacementBounds,
         *,
         smoothing: float,
-        low_pass: ImplicitDiffusion | None = None,
+        low_pass: LowPass | None = None,
         device: str = "cpu",
     ) -> None:
         def tensor(x: np.ndarray) -> Tensor:
@@ -55,7 +56,10 @@ class MeshParameterization:
         self._inward, self._outward, self._tangential = (
             tensor(x)[:, None].clamp_min(1e-9) for x in (bounds.inward, bounds.outward, bounds.tangential)
         )
-        self._diffusion, self._low_pass = ImplicitDiffusion(faces, len(vertices), smoothing, device), low_pass
+        self._diffusion, self._low_pass = (
+            ImplicitDiffusion.large_steps(faces, len(vertices), smoothing, device),
+            low_pass,
+        )
         self.parameters = (torch.zeros(len(vertices), 3, device=device, requires_grad=True),)
 
     def learning_rates(self, progress: float) -> tuple[float, ...]:

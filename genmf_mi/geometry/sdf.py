@@ -21,7 +21,7 @@ from genmf_mi.assets.sdf_asset import SdfAsset
 from genmf_mi.core.frame import Frame
 from genmf_mi.geometry.displacement_bounds import DisplacementBounds
 from genmf_mi.geometry.laplacian import ImplicitDiffusion
-from genmf_mi.geometry.low_pass import low_pass
+from genmf_mi.geometry.low_pass import LowPass
 from genmf_mi.geometry.mesh import SATURATION
 from genmf_mi.geometry.parameterization import FindSelfIntersections, Geometry, RefinedSurface
 from genmf_mi.geometry.sdf_back_off import Kept, back_off_fields
@@ -100,8 +100,8 @@ class SdfParameterization:
             self._tensor(self._at_samples(x))[:, None].clamp_min(1e-9)
             for x in (self.bounds.inward, self.bounds.outward)
         )
-        self._diffusion = ImplicitDiffusion(near.edges, count, smoothing, self.device)
-        self._low_pass = low_pass(near.places * self.scale, near.edges, wavelength, self.device)
+        self._diffusion = ImplicitDiffusion.large_steps(near.edges, count, smoothing, self.device)
+        self._low_pass = LowPass(near.places * self.scale, near.edges, wavelength, self.device)
 
     def _deformation_of(self, asset: SdfAsset) -> None:
         """The deformation of the generator, and how much each sample of the shell may add to it along each axis."""

@@ -7,7 +7,7 @@ import torch.nn.functional as F
 
 from genmf_mi.losses.shapes import GreyImages
 
-SIGMA = 1.5
+SIGMA = 1.2
 """Pixels; the window is twice as far on each side."""
 
 

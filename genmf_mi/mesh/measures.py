@@ -14,6 +14,11 @@ def face_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.asarray(igl.doublearea(vertices, faces)) / 2
 
 
+def vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """A third of the area of the faces around each vertex, ``float64 [V]``."""
+    return np.bincount(faces.ravel(), np.repeat(face_areas(vertices, faces) / 3, 3), len(vertices))
+
+
 def face_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Unit normal ``float64 [F,3]`` of every face; zero where a face has no area."""
     return np.asarray(igl.per_face_normals(vertices, faces, np.zeros(3)))

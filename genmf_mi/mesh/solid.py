@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,7 +12,8 @@ import numpy as np
 from genmf_mi.core.errors import SolidError
 from genmf_mi.mesh import measures, rebuild, repair, topology
 from genmf_mi.mesh.manifold import is_solid, to_arrays, to_manifold
-from genmf_mi.mesh.nearest import distance_to_surface
+from genmf_mi.mesh.nearest import closest_points, distance_to_surface
+from genmf_mi.mesh.refine import halve_edges
 from genmf_mi.mesh.remesh import uniform
 from genmf_mi.mesh.self_intersections import self_intersections
 from genmf_mi.mesh.winding import winding_number
@@ -28,8 +30,13 @@ _THINNEST = 5e-4
 _LOST = 0.03
 """Share of the area that a rebuilt solid may leave outside before the asset counts as a sheet."""
 
+HALVED_SHARE = 0.65
+"""Of the face budget of :func:`refine`, for the first halving; the rest is for the second."""
+
 _INVENTED = 0.2
 """Share of the area of a rebuilt solid that may lie where the asset has no surface."""
+
+Importance = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +128,47 @@ def remesh(solid: Solid, edge_length: float, max_faces: int = 200_000) -> Solid:
     """
     vertices, faces, report = uniform(solid.vertices, solid.faces, edge_length, max_faces)
     return Solid(vertices, faces, solid.report | {"remesh": report})
+
+
+def refine(meshed: Solid, original: Solid, importance: Importance, max_faces: int, finest: float = 0.0) -> Solid:
+    """Triangles of a half and of a quarter of the size where they matter, as far as the budget allows.
+
+    Args:
+        meshed: what :func:`remesh` made of ``original``, on whose surface new vertices are put.
+        importance: from vertices ``[V,3]`` and faces ``[F,3]`` to ``[F]``; where it is 0, faces stay as they are.
+        max_faces: of the result. finest: no triangle of a shorter edge is made, in file units.
+
+    Returns:
+        The solid; ``report["remesh"]`` has the number of faces, and by how many they are more.
+    """
+    report = meshed.report["remesh"]
+    halvings = 2 if finest == 0 else int(np.clip(np.floor(np.log2(report["edge_length"] / finest)), 0, 2))
+    budgets = [round(share * max_faces) for share in (HALVED_SHARE, 1.0)[:halvings]]
+    fine = _finer(meshed, importance, budgets, original)
+    if len(self_intersections(*fine)) > report["self_intersections"] or not is_solid(*fine):
+        fine = _finer(meshed, importance, budgets)  # new vertices on the flat triangles harm nothing
+    vertices, faces = fine
+    report = report | {"faces": len(faces), "finer_faces": len(faces) - len(meshed.faces)}
+    return Solid(vertices, faces, meshed.report | {"remesh": report})
+
+
+def _finer(
+    meshed: Solid, importance: Importance, budgets: list[int], original: Solid | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Edges halved in the most important faces, once for each budget of faces."""
+    vertices, faces = meshed.vertices, meshed.faces
+    for budget in budgets:
+        weight = importance(vertices, faces)
+        affordable = max(0, (budget - len(faces)) // 4)  # a face becomes four, and some of its neighbours two
+        threshold = np.partition(weight, -affordable)[-affordable] if 0 < affordable < len(faces) else 0.0
+        chosen = (weight > 0) & (weight >= threshold) & (affordable > 0)
+        fine, triangles = halve_edges(vertices, faces, chosen)
+        if len(triangles) > budget:
+            break
+        if original is not None:
+            _, fine[len(vertices) :], _ = closest_points(fine[len(vertices) :], original.vertices, original.faces)
+        vertices, faces = fine, triangles
+    return vertices, faces
 
 
 def _repaired(name: str, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict]:

@@ -10,12 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 
 from genmf_mi.core.progress import Progress
-from genmf_mi.geometry.low_pass import low_frequency
-from genmf_mi.losses.perceptual import lpips
-from genmf_mi.pipeline import problem as problems
+from genmf_mi.losses.perceptual import features, lpips
 from genmf_mi.pipeline.evaluator import Evaluator
 from genmf_mi.pipeline.problem import RefinementProblem
 
@@ -25,6 +22,8 @@ SAMPLES = 4
 """Rays per pixel of the images by which amplitudes are compared."""
 SMALLEST_CONTRAST = 0.01
 """Of the encoded albedo; below it the object has one brightness."""
+START = 0.3
+"""Share of the displacement that an optimisation starts from."""
 
 
 @dataclass(frozen=True)
@@ -47,24 +46,27 @@ def heights(problem: RefinementProblem, amplitude: float) -> np.ndarray:
     return share * np.where(share > 0, problem.loose_bounds.outward, problem.loose_bounds.inward)
 
 
-def initial_heights(problem: RefinementProblem, displacement: Displacement) -> np.ndarray:
-    """``[V]`` heights to start an optimisation from: the displacement without its low-frequency component.
-
-    Shading sees slopes, not heights. A plateau costs the relief that its rim needs, and shows nothing.
-    """
-    surface, wavelength = problem.surface, problems.DETAIL_MM / problem.frame.mm_per_unit
-    return displacement.heights - low_frequency(surface.vertices, surface.faces, displacement.heights, wavelength)
-
-
 def best_displacement(problem: RefinementProblem, evaluator: Evaluator, progress: Progress) -> Displacement:
     """The displacement with the lowest LPIPS (AlexNet) over the evaluator's views, at half their resolution."""
     progress.stage("displacing by brightness")
-    surface, scores = problem.surface, dict.fromkeys(AMPLITUDES, 0.0)
+    surface, pair, scores = problem.surface, problem.evaluation, dict.fromkeys(AMPLITUDES, 0.0)
+    resolution = pair.part.resolution
+    pair.resize(resolution // 2)
     quick = replace(evaluator, samples=SAMPLES)
+    target = features(quick.target)
     for amplitude in AMPLITUDES:
         vertices = surface.vertices + heights(problem, amplitude)[:, None] * surface.normals
         image = quick.aligned(torch.as_tensor(vertices, dtype=torch.float32, device=quick.device))
-        image, target = (F.avg_pool2d(x, 2) for x in (image, quick.target))
         scores[amplitude] = float(lpips(image, target).mean())
+    pair.resize(resolution)
     amplitude = min(AMPLITUDES, key=lambda each: scores[each])
     return Displacement(heights(problem, amplitude), amplitude)
+
+
+def initial_heights(problem: RefinementProblem, displacement: Displacement) -> np.ndarray:
+    """``[V]`` heights to start an optimisation from: a share of the displacement, without its low-frequency component.
+
+    Shading sees slopes, not heights: a plateau costs the relief that its rim needs, and shows nothing. And offsets that
+    start near their bounds stay there, because tanh has no slope; all of the displacement is a worse start than none.
+    """
+    return START * (displacement.heights - problem.low_pass.of(displacement.heights))

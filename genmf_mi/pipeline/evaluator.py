@@ -11,7 +11,7 @@ figures can be compared with the paper's (:mod:`genmf_mi.losses.alignment`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -63,6 +63,7 @@ class Evaluator:
 
     @torch.no_grad()
     def __post_init__(self) -> None:
+        self.reference.scene.resize(self.scene.resolution)  # iterations may have rendered it smaller
         target = self.reference.render(self.views, seed=SEED, samples=self.samples)
         self.target_grey, (_, _, self.mask) = target.grey, target.geometry
         self.target = self.alignment(target.grey, self.mask, target.grey, self.mask)[1].clamp(0, 1)
@@ -76,6 +77,11 @@ class Evaluator:
     def render(self, vertices: Tensor, faces: Tensor | None = None) -> bridge.Buffers:
         """The part as it is lit, before any alignment; arguments as for :func:`bridge.render`."""
         return bridge.render(self.scene, self.views, vertices, faces, seed=SEED, samples=self.samples)
+
+    def render_colour(self, views: Sequence[View], samples: int = 0) -> np.ndarray:
+        """``[B,H,W,3]`` the textured object, see :meth:`Reference.render_colour`; the evaluator's samples if 0."""
+        self.reference.scene.resize(self.scene.resolution)
+        return self.reference.render_colour(views, seed=SEED, samples=samples or self.samples)
 
     @torch.no_grad()
     def align(self, part: bridge.Buffers, alignment: Alignment | None = None) -> Tensor:

@@ -22,13 +22,13 @@ from genmf_mi.geometry.parameterization import Geometry, Parameterization
 from genmf_mi.geometry.uniform_adam import UniformAdam
 from genmf_mi.losses import objective
 from genmf_mi.losses.alignment import Alignment
+from genmf_mi.pipeline import views
 from genmf_mi.pipeline.checkpoint import Checkpoint
 from genmf_mi.pipeline.problem import RefinementProblem
 from genmf_mi.pipeline.run_folder import RunFolder
 from genmf_mi.pipeline.stress_stage import StressStage
 from genmf_mi.render import bridge
 from genmf_mi.render.bridge import Buffers
-from genmf_mi.render.scene import View
 
 CHECKPOINT_EVERY = 25
 """Iterations between checkpoints."""
@@ -37,11 +37,6 @@ WARM_UP, COOL_DOWN = 10, 0.4
 again."""
 PATIENCE = 5
 """Iterations in a row without a single finite gradient after which the refinement gives up."""
-
-POLAR_EVERY = 8
-"""Of so many views, one is from above or from below."""
-POLAR_ELEVATIONS = 35.0, 85.0
-"""Degrees, positive above and negative below; the standard views and their jitter reach as far as the first."""
 
 ExtraTerms = Callable[[Buffers, Buffers, Geometry], dict[str, Tensor]]
 """From the render, the reference and the geometry of an iteration to further terms of the loss, weighted scalars by
@@ -171,7 +166,8 @@ def step(optimisation: Optimisation) -> dict[str, float]:
     problem, config, index = optimisation.problem, optimisation.config, optimisation.iteration
     parameterization, optimiser, stress = optimisation.parameterization, optimisation.optimiser, optimisation.stress
 
-    view = sample_view(problem, config, index)
+    problem.training.resize(views.resolution(config, index))
+    view = views.sample_view(problem, config, index)
     reference = problem.training.reference.render([view], seed=index)
     geometry = parameterization.geometry()
     image = bridge.render(problem.training.part, [view], geometry.vertices, geometry.faces, seed=index)
@@ -199,25 +195,6 @@ def step(optimisation: Optimisation) -> dict[str, float]:
         **{name: float(term.detach()) for name, term in terms.items()},
         **figures,
     }
-
-
-def sample_view(problem: RefinementProblem, config: RefineConfig, index: int) -> View:
-    """The view of iteration ``index``, a function of the seed alone: one of the standard views, each equally often,
-    moved at random, with the lights turned at random; and now and then one from high above or far below. Pictures are
-    of one view under one light and stay as they are."""
-    views, pictures = problem.training.reference.views, problem.training.reference.pictures
-    turn_of_standard = index if pictures else index - index // POLAR_EVERY
-    order = np.random.default_rng([config.seed, turn_of_standard // len(views)]).permutation(len(views))
-    view = views[int(order[turn_of_standard % len(views)])]
-    if pictures:
-        return view
-    rng = np.random.default_rng([config.seed, index, 1])
-    azimuth, elevation = rng.uniform(-1, 1, 2) * config.view_jitter
-    turn = rng.uniform(-1, 1, 2) * config.light_jitter
-    if index % POLAR_EVERY == POLAR_EVERY - 1:
-        side = 1 if index // POLAR_EVERY % 2 == 0 else -1
-        view, azimuth, elevation = View(0.0, 0.0), rng.uniform(0, 360), side * rng.uniform(*POLAR_ELEVATIONS)
-    return View(view.azimuth + azimuth, view.elevation + elevation, (turn[0], turn[1]))
 
 
 def schedule(index: int, count: int) -> float:

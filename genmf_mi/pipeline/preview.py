@@ -32,7 +32,7 @@ class Preview:
         contrast = ((target - mean[:, None, None, None]).square() * mask).sum(dim=(1, 2, 3)) / inside
         index = int(contrast.argmax())
         self._view = evaluator.views[index]
-        colour = evaluator.reference.render_colour([self._view], seed=SEED, samples=SAMPLES)[0]
+        colour = evaluator.render_colour([self._view], SAMPLES)[0]
         before = self._render(
             torch.as_tensor(surface.vertices, dtype=torch.float32, device=evaluator.device),
             torch.as_tensor(surface.faces, device=evaluator.device),

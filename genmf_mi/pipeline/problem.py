@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from genmf_mi.core.frame import Frame
 from genmf_mi.core.progress import Progress
 from genmf_mi.core.timer import Timer
 from genmf_mi.geometry.displacement_bounds import DisplacementBounds, displacement_bounds
-from genmf_mi.geometry.low_pass import low_frequency, low_pass
+from genmf_mi.geometry.low_pass import LowPass
 from genmf_mi.geometry.mesh import MeshParameterization
 from genmf_mi.geometry.parameterization import Parameterization
 from genmf_mi.geometry.plain_areas import relief_cap
@@ -26,16 +27,15 @@ from genmf_mi.mesh import solid, topology
 from genmf_mi.mesh.manifold import is_solid
 from genmf_mi.mesh.measures import signed_volume
 from genmf_mi.pipeline import evaluator
+from genmf_mi.pipeline.detail import DETAIL_MM, FULL_CONTRAST, SOFT, crispness, local_contrast, local_range
 from genmf_mi.render import bridge, target
 from genmf_mi.render import scene as scenes
 from genmf_mi.render.scene import RenderSettings, Scene
 from genmf_mi.render.target import Picture, Reference
 from genmf_mi.sdf.grid import without_small_components
 
-DETAIL_MM = 8.0
-"""Longest wavelength that counts as detail on the printed part; what is broader is shape or tone."""
-FULL_CONTRAST = 0.11
-"""Local contrast of the encoded brightness from which on the whole cap may be used."""
+COARSE_SHARE = 0.35
+"""Of the face budget, for the triangles that are everywhere where the texture has crisp edges."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +63,11 @@ class ScenePair:
     part: Scene
     reference: Reference
 
+    def resize(self, resolution: int) -> None:
+        """Render both at ``resolution`` pixels per side from now on."""
+        self.part.resize(resolution)
+        self.reference.scene.resize(resolution)
+
 
 @dataclass(frozen=True)
 class RefinementProblem:
@@ -71,7 +76,9 @@ class RefinementProblem:
     asset: as it was given; an :class:`SdfAsset` without small components.
     bounds: of the displacement of each vertex, normalised units; plain areas are held.
     loose_bounds: the same without regard to what is plain, for the displacement by brightness.
-    training, evaluation: scenes at the resolutions of the optimisation and of the scores.
+    training, evaluation: scenes at the resolutions of the optimisation and of the scores; they share the reference,
+        which is resized for either.
+    low_pass: of :data:`DETAIL_MM` on the surface, on the CPU. broad: ``[V]``, what it keeps of the brightness.
     contrast: :func:`local_contrast` of the brightness; cap_mm: the cap that it permits.
     report: what was done to make the part solid.
     """
@@ -83,6 +90,8 @@ class RefinementProblem:
     loose_bounds: DisplacementBounds
     training: ScenePair
     evaluation: ScenePair
+    low_pass: LowPass
+    broad: np.ndarray
     contrast: float
     cap_mm: float
     report: dict[str, Any]
@@ -128,14 +137,15 @@ def build_problem(
         body = solid.solidify(asset.name, asset.vertices, asset.faces)
         timer.lap("solid")
         progress.stage("meshing")
-        frame = Frame.of(body.vertices, config.size_mm)
-        body = solid.remesh(body, config.mesh_edge_mm / frame.mm_per_unit / frame.scale, config.max_faces)
+        body = mesh_finely(asset, body, config)
         timer.lap("remesh")
 
     progress.stage("building scenes")
     frame = Frame.of(body.vertices, config.size_mm)
     surface, training, evaluation = build_scenes(asset, body, frame, config, xml, folder, pictures)
-    contrast = local_contrast(surface.vertices, surface.faces, surface.brightness, DETAIL_MM / frame.mm_per_unit)
+    low_pass = LowPass(surface.vertices, surface.faces, DETAIL_MM / frame.mm_per_unit)
+    broad = low_pass.of(surface.brightness)
+    contrast = local_contrast(surface.brightness, broad)
     cap_mm = config.max_relief_mm * (1.0 if references else min(1.0, contrast / FULL_CONTRAST))
     loose = displacement_bounds(
         surface.vertices,
@@ -150,7 +160,23 @@ def build_problem(
         points = surface.vertices * frame.mm_per_unit
         bounds = loose.capped(relief_cap(points, surface.brightness, cap_mm) / frame.mm_per_unit)
     timer.lap("scenes")
-    return RefinementProblem(asset, frame, surface, bounds, loose, training, evaluation, contrast, cap_mm, body.report)
+    return RefinementProblem(
+        asset, frame, surface, bounds, loose, training, evaluation, low_pass, broad, contrast, cap_mm, body.report
+    )
+
+
+def mesh_finely(asset: Asset, body: solid.Solid, config: RefineConfig) -> solid.Solid:
+    """The solid in small triangles, smaller ones along the edges of the texture and larger ones elsewhere.
+
+    Even triangles serve a texture without crisp edges best, and an object whose target is not its texture.
+    """
+    frame = Frame.of(body.vertices, config.size_mm)
+    mm = 1 / (frame.mm_per_unit * frame.scale)
+    if asset.textured:
+        coarse = solid.remesh(body, config.mesh_edge_mm * mm, round(COARSE_SHARE * config.max_faces))
+        if crispness(coarse.vertices, coarse.faces, local_range(asset, coarse.vertices, coarse.faces)) > SOFT:
+            return solid.refine(coarse, body, partial(local_range, asset), config.max_faces, config.nozzle_mm / 2 * mm)
+    return solid.remesh(body, config.mesh_edge_mm * mm, config.max_faces)
 
 
 def build_scenes(
@@ -177,9 +203,7 @@ def build_scenes(
         target.build_reference(xml, folder, vertices, faces, normals, albedo, optimised, pictures),
     )
     scored = RenderSettings(radius, evaluator.RESOLUTION, evaluator.SAMPLES)
-    evaluation = ScenePair(
-        scenes.load(xml, ply, **asdict(scored)), target.load_reference(xml, folder, scored, pictures)
-    )
+    evaluation = ScenePair(scenes.load(xml, ply, **asdict(scored)), training.reference)
     return InitialSurface(vertices, faces, normals, albedo(vertices, normals)), training, evaluation
 
 
@@ -227,21 +251,9 @@ def parameterize(problem: RefinementProblem, config: RefineConfig, device: str) 
         surface.faces,
         problem.bounds,
         smoothing=config.smoothing,
-        low_pass=low_pass(surface.vertices, surface.faces, wavelength, device),
+        low_pass=problem.low_pass if device == "cpu" else LowPass(surface.vertices, surface.faces, wavelength, device),
         device=device,
     )
-
-
-def local_contrast(vertices: np.ndarray, faces: np.ndarray, brightness: np.ndarray, wavelength: float) -> float:
-    """How much detail there is: the 99th percentile of | brightness − its low-frequency component |.
-
-    A soft blush or the speckle of a lemon has 0.05, painted porcelain 0.12, spots and windows 0.3 to 0.5. Relief in
-    proportion keeps what is faint in colour faint in shape, which mean–variance alignment alone would amplify.
-
-    Args:
-        brightness: ``[V]``, sRGB-encoded. wavelength: in the unit of the vertices.
-    """
-    return float(np.percentile(np.abs(brightness - low_frequency(vertices, faces, brightness, wavelength)), 99))
 
 
 def _require_usable(xml: Path, folder: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from genmf_mi.fabrication import files
 from genmf_mi.fabrication.checks import check
 from genmf_mi.geometry.parameterization import RefinedSurface
 from genmf_mi.geometry.plain_areas import is_plain
+from genmf_mi.mesh.measures import vertex_areas
 from genmf_mi.pipeline.displacement import Displacement
 from genmf_mi.pipeline.evaluator import Evaluator, unseen_views
 from genmf_mi.pipeline.problem import RefinementProblem
@@ -91,14 +93,14 @@ def conclude(
     Raises:
         OutputError: a file cannot be written.
     """
-    problem, surface = outcome.problem, outcome.surface
-    shapes = shapes_of(outcome)
-    scores, buffers = scores_of(outcome, shapes, progress)
+    problem, surface, rgb = outcome.problem, outcome.surface, outcome.rgb
+    with ThreadPoolExecutor(1) as beside:
+        writing = beside.submit(write_part, outcome, run.path, rgb) if run else None
+        scores, buffers = scores_of(outcome, shapes_of(outcome), progress)
     timer.lap("evaluate")
 
     progress.stage("checking the part")
     part_mm = problem.frame.to_print(surface.vertices)
-    rgb = outcome.rgb
     metrics = metrics_of(outcome, scores, part_mm, rgb)
     _warn(metrics, progress)
     result = Result(
@@ -111,12 +113,9 @@ def conclude(
         history=outcome.history,
         out=run.path if run else None,
     )
-    if run is not None:
+    if run is not None and writing is not None:
         progress.stage("writing the files")
-        metrics["files"] = files.write(
-            run.path, surface.vertices, surface.faces, problem.frame, rgb, problem.asset.name
-        )
-        timer.lap("write")
+        metrics["files"] = writing.result()
         # The report tells the time too, so far as it is known
         metrics["seconds"] = {"total": timer.total, **timer.seconds}
         write_pictures(outcome, run.path, buffers, rgb, metrics, save_exr=save_exr)
@@ -126,6 +125,12 @@ def conclude(
     if run is not None:
         run.finish(metrics)
     return result
+
+
+def write_part(outcome: Outcome, folder: Path, rgb: np.ndarray) -> dict[str, str]:
+    """See :func:`genmf_mi.fabrication.files.write`; it runs beside the scoring."""
+    surface, problem = outcome.surface, outcome.problem
+    return files.write(folder, surface.vertices, surface.faces, problem.frame, rgb, problem.asset.name)
 
 
 def shapes_of(outcome: Outcome) -> Shapes:
@@ -187,16 +192,17 @@ def metrics_of(outcome: Outcome, scores: dict[str, Any], part_mm: np.ndarray, rg
 
 
 def plain_distortion(outcome: Outcome, distance_mm: np.ndarray, rgb: np.ndarray) -> dict[str, float]:
-    """How far plain areas moved: mean, 95th percentile and maximum in mm, and their share of the vertices; zeros where
+    """How far plain areas moved: mean, 95th percentile and maximum in mm, and their share of the surface; zeros where
     the object has no plain areas."""
     surface, frame = outcome.surface, outcome.problem.frame
     plain = is_plain(surface.foot * frame.mm_per_unit, to_srgb(value(rgb)))
     moved = distance_mm[plain] if plain.any() else np.zeros(1)
+    area = vertex_areas(surface.foot, surface.faces)
     return {
         "mean": float(moved.mean()),
         "p95": float(np.percentile(moved, 95)),
         "max": float(moved.max()),
-        "share": float(plain.mean()),
+        "share": float(area[plain].sum() / area.sum()),
     }
 
 
@@ -213,7 +219,7 @@ def write_pictures(
     problem, surface, scorer = outcome.problem, outcome.surface, outcome.evaluator
     # The scene still holds the refined shape, which was rendered last
     relief = bridge.render_vertex_values(scorer.scene, scorer.views, surface.faces, outcome.relief_mm)
-    colour = problem.evaluation.reference.render_colour(scorer.views)
+    colour = scorer.render_colour(scorer.views)
 
     def image(name: str, channel: str, i: int) -> np.ndarray:
         return getattr(buffers[name], channel)[i, 0].cpu().numpy()

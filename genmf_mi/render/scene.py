@@ -62,7 +62,7 @@ class Scene:
     scene, params: Mitsuba's own objects.
     shape_id, sensor_id: the ids that prefix the keys of ``params``.
     views: the standard views named in the file.
-    distance: of the camera from the origin, in normalised units.
+    distance: of the camera from the origin, in normalised units. fov: its field of view without any zoom, in degrees.
     resolution: pixels per side of the (square) image.
     lights: direction of each light before any turn, by its key in ``params``.
     moves: counts what invalidates the derivatives of earlier images, see :func:`genmf_mi.render.bridge.render`.
@@ -74,6 +74,7 @@ class Scene:
     sensor_id: str
     views: tuple[View, ...]
     distance: float
+    fov: float
     resolution: int
     lights: dict[str, Float64[ndarray, " 3"]]
     moves: int = 0
@@ -102,9 +103,26 @@ class Scene:
             "lights": bsdf.lights,
         }
 
+    @property
+    def half_width(self) -> float:
+        """Of the whole image at unit distance."""
+        return float(np.tan(np.radians(self.fov / 2)))
+
+    def resize(self, resolution: int) -> None:
+        """Render at ``resolution`` pixels per side from now on."""
+        if resolution != self.resolution:
+            for key in variant.film_size_keys(self.sensor_id):
+                self.params[key] = mi.ScalarVector2u(resolution)
+            self.params.update()
+            self.resolution = resolution
+
     def set_view(self, view: View) -> None:
-        """Move the camera to ``view`` and turn the lights."""
+        """Move the camera to ``view``, zoom and turn the lights."""
         self.params[variant.camera_pose_key(self.sensor_id)] = mi.Transform4f(camera_to_world(view, self.distance))
+        # A magnified part of the image: a smaller field of view whose axis leaves the middle of the film
+        self.params[variant.fov_key(self.sensor_id)] = 2 * np.degrees(np.arctan(self.half_width / view.zoom))
+        for key, share in zip(variant.principal_point_keys(self.sensor_id), view.centre, strict=True):
+            self.params[key] = share * view.zoom
         turn = rotation("y", view.light_turn[0]) @ rotation("x", view.light_turn[1])
         for key, direction in self.lights.items():
             self.params[key] = mi.Vector3f(turn @ direction)
@@ -153,21 +171,22 @@ def load(
         raise SceneError(f"the image of {xml} must be square, not {width} × {height}: set both to $resolution.")
     params = mi.traverse(scene)
     light_keys = variant.light_direction_keys(shape.id())
-    fov_key = f"{sensor.id()}.x_fov"
+    fov_key = variant.fov_key(sensor.id())
     needed = [fov_key, variant.geometry_key(holds, shape.id()), *light_keys]
     if missing := [key for key in needed if key not in params]:
         raise SceneError(
             f"{xml} has no parameter {missing[0]}: the sensor must be `perspective`, the shape {_SHAPE[holds]} that "
             f"holds its material, and both must have an id. {START.capitalize()}"
         )
-    half_fov = np.radians(float(np.ravel(params[fov_key])[0]) / 2)
+    fov = float(np.ravel(params[fov_key])[0])
     return Scene(
         scene=scene,
         params=params,
         shape_id=shape.id(),
         sensor_id=sensor.id(),
         views=parse_views(defaults.get("views", ""), xml),
-        distance=float(MARGIN * radius / np.sin(half_fov)),
+        distance=float(MARGIN * radius / np.sin(np.radians(fov / 2))),
+        fov=fov,
         resolution=int(width),
         lights={key: np.ravel(np.array(params[key])).astype(np.float64) for key in light_keys},
     )

@@ -38,6 +38,18 @@ def camera_pose_key(sensor_id: str) -> str:
     return f"{sensor_id}.to_world"
 
 
+def fov_key(sensor_id: str) -> str:
+    return f"{sensor_id}.x_fov"
+
+
+def principal_point_keys(sensor_id: str) -> tuple[str, str]:
+    return f"{sensor_id}.principal_point_offset_x", f"{sensor_id}.principal_point_offset_y"
+
+
+def film_size_keys(sensor_id: str) -> tuple[str, str]:
+    return f"{sensor_id}.film.size", f"{sensor_id}.film.crop_size"
+
+
 def llvm_version() -> tuple[int, int, int] | None:
     """Version of the LLVM library that Dr.Jit found, or None. Safe to call with any LLVM."""
     import drjit

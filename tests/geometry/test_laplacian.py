@@ -9,8 +9,9 @@ from scipy.sparse import identity
 from scipy.sparse.linalg import spsolve
 from toys import noise, sphere
 
-from genmf_mi.geometry.laplacian import ImplicitDiffusion, laplacian
-from genmf_mi.geometry.low_pass import low_frequency
+from genmf_mi.geometry.laplacian import ImplicitDiffusion, cotangent_laplacian, laplacian
+from genmf_mi.geometry.low_pass import LowPass, low_frequency
+from genmf_mi.mesh.refine import halve_edges
 
 
 class TestImplicitDiffusion:
@@ -28,7 +29,7 @@ class TestImplicitDiffusion:
         vertices, faces, _ = sphere()
         u = noise(len(vertices), 3)
         matrix = (identity(len(vertices)) + smoothing * laplacian(faces, len(vertices))).tocsc()
-        diffusion = ImplicitDiffusion(faces, len(vertices), smoothing)
+        diffusion = ImplicitDiffusion.large_steps(faces, len(vertices), smoothing)
         solved = diffusion(torch.tensor(u, dtype=torch.float32))
         np.testing.assert_allclose(solved, spsolve(matrix, u), atol=2e-6 * np.abs(u).max())
         np.testing.assert_allclose(diffusion.inverse(solved), u, atol=1e-4)
@@ -39,7 +40,7 @@ class TestImplicitDiffusion:
         weight = noise(3, len(vertices))
         u = torch.zeros(len(vertices), 3, requires_grad=True)
         (
-            ImplicitDiffusion(faces, len(vertices), 30.0)(u) * torch.tensor(weight, dtype=torch.float32).T
+            ImplicitDiffusion.large_steps(faces, len(vertices), 30.0)(u) * torch.tensor(weight, dtype=torch.float32).T
         ).sum().backward()
         matrix = (identity(len(vertices)) + 30 * laplacian(faces, len(vertices))).tocsc()
         np.testing.assert_allclose(u.grad, spsolve(matrix, weight.T), atol=1e-5)
@@ -54,3 +55,40 @@ def test_low_frequency(waves, kept):
     smooth = low_frequency(vertices, faces, field, 0.6)
     share = (smooth * field)[near_equator].sum() / (field**2)[near_equator].sum()
     assert kept[0] <= share <= kept[1]
+
+
+def test_cotangent_laplacian_against_a_loop():
+    vertices, faces, _ = sphere(1)
+    expected = np.zeros((len(vertices),) * 2)
+    for face in faces:
+        for k in range(3):
+            i, j, apex = face[(k + 1) % 3], face[(k + 2) % 3], face[k]
+            a, b = vertices[i] - vertices[apex], vertices[j] - vertices[apex]
+            weight = a @ b / np.linalg.norm(np.cross(a, b)) / 2
+            expected[[i, j], [j, i]] -= weight
+            expected[[i, j], [i, j]] += weight
+    assert (expected[~np.eye(len(vertices), dtype=bool)] <= 1e-12).all(), "no obtuse triangles here"
+    np.testing.assert_allclose(cotangent_laplacian(vertices, faces).toarray(), expected, atol=1e-12)
+
+
+def test_cotangent_laplacian_has_no_negative_weights():
+    vertices = np.array([[0, 0, 0], [4, 0, 0], [2, 0.2, 0], [2, -3, 0.0]])
+    matrix = cotangent_laplacian(vertices, np.array([[0, 1, 2], [1, 0, 3]])).toarray()
+    assert (matrix - np.diag(np.diag(matrix)) <= 0).all() and np.allclose(matrix.sum(axis=1), 0)
+
+
+def test_low_pass_does_not_depend_on_the_triangles():
+    """The same field on a sphere, and on one with triangles of half the size on one side."""
+    vertices, faces, _ = sphere(4)
+    fine, triangles = halve_edges(vertices, faces, vertices[faces].mean(axis=1)[:, 0] > 0)
+    field = np.sin(8 * fine[:, 1])
+    even = low_frequency(vertices, faces, field[: len(vertices)], 0.8)
+    uneven = low_frequency(fine, triangles, field, 0.8)
+    assert np.abs(even).max() > 0.2
+    np.testing.assert_allclose(uneven[: len(vertices)], even, atol=0.03)
+
+
+def test_low_pass_keeps_a_constant():
+    vertices, faces, _ = sphere()
+    ones = torch.ones(len(vertices), 2)
+    np.testing.assert_allclose(LowPass(vertices, faces, 0.5)(ones), ones, atol=1e-5)

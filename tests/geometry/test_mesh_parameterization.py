@@ -8,7 +8,7 @@ import torch
 from toys import noise, sphere
 
 from genmf_mi.geometry.displacement_bounds import DisplacementBounds
-from genmf_mi.geometry.low_pass import low_pass
+from genmf_mi.geometry.low_pass import LowPass
 from genmf_mi.geometry.mesh import MeshParameterization
 
 NORMALS = sphere()[2]
@@ -22,7 +22,7 @@ def bounded(*, filtered: bool = False) -> tuple[MeshParameterization, Displaceme
     for x in bounds:
         x[::7] = 0
     bounds = DisplacementBounds(*bounds)
-    smooth = low_pass(vertices, faces, 0.4) if filtered else None
+    smooth = LowPass(vertices, faces, 0.4) if filtered else None
     return MeshParameterization(vertices, normals, faces, bounds, smoothing=5.0, low_pass=smooth), bounds
 
 

@@ -15,7 +15,9 @@ from toys import stripes
 import genmf_mi
 from genmf_mi.assets.asset import Asset
 from genmf_mi.core.errors import AssetError, ConfigError, OptimisationError, OutputError, SetupError
-from genmf_mi.pipeline import optimisation, problem, refinement
+from genmf_mi.geometry.low_pass import low_frequency
+from genmf_mi.pipeline import optimisation, refinement
+from genmf_mi.pipeline.detail import local_contrast
 from genmf_mi.pipeline.run_folder import CHECKPOINT
 from genmf_mi.render import scene, variant
 
@@ -182,7 +184,8 @@ class TestLocalContrast:
     @staticmethod
     def of(brightness) -> float:
         vertices, faces = ellipsoid()
-        return problem.local_contrast(vertices, faces, brightness(vertices), 0.16)
+        field = brightness(vertices)
+        return local_contrast(field, low_frequency(vertices, faces, field, 0.16))
 
     def test_one_brightness_has_none(self):
         assert self.of(lambda v: np.full(len(v), 0.7)) == pytest.approx(0, abs=1e-6)

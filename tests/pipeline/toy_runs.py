@@ -15,7 +15,7 @@ from genmf_mi.core.progress import Progress
 from genmf_mi.stress.fem.simulation import Settings
 
 CONFIG = genmf_mi.RefineConfig(iterations=6, resolution=96, samples=4, max_faces=6000, edge_mm=3.0, score_vgg=False,
-                               stress=False, device="cpu")  # fmt: skip
+                               stress=False, learning_rate=0.0125, device="cpu")  # fmt: skip
 TOLERANCE_MM = 2e-3
 """Between two runs with the same seed. Sums over faces and pixels are taken in any order, so that the last bits of the
 gradients differ, and Adam divides small gradients by their own size."""

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 import trimesh
 
 from genmf_mi.core.errors import SceneError
 from genmf_mi.render import bridge, scene, variant
 from genmf_mi.render.scene import View
+from genmf_mi.render.view import project
 
 BUNDLED = [path for path in sorted(scene.find("default").parent.glob("[a-z]*.xml")) if "_sdf" not in path.stem]
 
@@ -53,6 +56,11 @@ class TestView:
 
     def test_azimuth_90_looks_at_the_x_side(self):
         np.testing.assert_allclose(scene.camera_to_world(View(90, 0), 2.0)[:3, 3], [2, 0, 0], atol=1e-12)
+
+    def test_facing(self):
+        for azimuth, elevation in ((0, 0), (90, 0), (37, 20), (200, -60)):
+            view = View.facing(position(azimuth, elevation))
+            np.testing.assert_allclose(position(view.azimuth, view.elevation), position(azimuth, elevation), atol=1e-9)
 
     def test_label(self):
         assert View(30, -10.5).label == "azimuth 30°, elevation -10.5°"
@@ -160,3 +168,51 @@ def test_views_as_text():
 def test_bad_views(text):
     with pytest.raises(SceneError, match="here"):
         scene.parse_views(text, "here")
+
+
+@pytest.fixture(scope="module")
+def bumpy(tmp_path_factory) -> Path:
+    ball = trimesh.creation.icosphere(5)
+    path = tmp_path_factory.mktemp("bumpy") / "bumpy.ply"
+    waves = np.sin(20 * ball.vertices).prod(axis=1, keepdims=True)
+    bridge.write_ply(path, 0.9 * ball.vertices * (1 + 0.03 * waves), ball.faces)
+    return path
+
+
+class TestZoom:
+    """A magnified view is a window of a larger image."""
+
+    VIEW, CENTRE = View(30, 10), (0.125, -0.0625)
+
+    def test_window(self, bumpy):
+        large = scene.load(scene.find("default"), bumpy, radius=1.0, resolution=256, samples=64)
+        small = scene.load(scene.find("default"), bumpy, radius=1.0, resolution=64, samples=64)
+        close = replace(self.VIEW, zoom=4.0, centre=self.CENTRE)
+        whole, window = (bridge.render(s, [v]).grey[0, 0] for s, v in ((large, self.VIEW), (small, close)))
+        left, top = (round((0.5 + c) * 256) - 32 for c in self.CENTRE)
+        np.testing.assert_allclose(window, whole[top : top + 64, left : left + 64], atol=1e-3)
+        np.testing.assert_array_equal(
+            bridge.render(small, [self.VIEW]).grey,
+            bridge.render(scene.load(scene.find("default"), bumpy, radius=1.0, resolution=64, samples=64), [self.VIEW])
+            .grey,
+        )  # fmt: skip
+
+    def test_resize(self, bumpy):
+        resized = scene.load(scene.find("default"), bumpy, radius=1.0, resolution=64, samples=4)
+        resized.resize(96)
+        fresh = scene.load(scene.find("default"), bumpy, radius=1.0, resolution=96, samples=4)
+        np.testing.assert_array_equal(*(bridge.render(s, [self.VIEW]).grey for s in (resized, fresh)))
+        assert resized.resolution == 96
+
+    def test_project(self, bumpy):
+        """The highest point of what is seen of a small ball beside the middle appears where it is projected to."""
+        loaded = scene.load(scene.find("default"), bumpy, radius=1.0, resolution=200, samples=16)
+        point = np.array([[0.3, -0.2, 0.1]])
+        ball = trimesh.creation.icosphere(2)
+        vertices = torch.as_tensor(point + 0.02 * ball.vertices, dtype=torch.float32)
+        faces = torch.as_tensor(np.array(ball.faces))
+        coverage = bridge.render(loaded, [self.VIEW], vertices, faces).coverage[0, 0].numpy()
+        rows, columns = np.nonzero(coverage > 0.5)
+        seen = np.array([columns.mean(), rows.mean()]) + 0.5
+        expected = project(point, self.VIEW, loaded.distance, loaded.half_width)[0]
+        np.testing.assert_allclose(seen / 200 - 0.5, expected, atol=0.003)

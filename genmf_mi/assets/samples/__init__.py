@@ -17,7 +17,7 @@ from genmf_mi.core.files import atomic
 if TYPE_CHECKING:
     import trimesh
 
-NAMES: tuple[str, ...] = ("strawberry", "watermelon", "ladybug", "globe", "leaf", "ball")
+NAMES: tuple[str, ...] = ("strawberry", "watermelon", "ladybug", "globe", "leaf", "ball", "plaque")
 
 
 def make(name: str, resolution: int = 1024) -> trimesh.Trimesh:
