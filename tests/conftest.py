@@ -109,7 +109,6 @@ def small_refinements(lpips_weights) -> Iterator[None]:
         patch.setattr(evaluator, "SAMPLES", 4)
         patch.setattr(target, "FINEST", 24_000)
         patch.setattr(displacement, "AMPLITUDES", (-0.5, 0.5))
-        patch.setattr(displacement, "START", 1.0)  # a few iterations add little
         patch.setattr(optimisation, "CHECKPOINT_EVERY", 2)
         patch.setattr(problem, "DETAIL_MM", 60.0)  # edges of 3 mm hold no detail of a real part
         yield

@@ -175,7 +175,9 @@ class RefineConfig:
 
 
 PRESETS: dict[str, RefineConfig] = {
-    "draft": RefineConfig(iterations=40, resolution=256, max_faces=32_000, score_vgg=False, stress=False),
+    "draft": RefineConfig(
+        iterations=40, resolution=256, max_faces=32_000, learning_rate=0.0125, score_vgg=False, stress=False
+    ),
     "default": RefineConfig(),
     "paper": RefineConfig(iterations=1000, resolution=512, max_faces=300_000, weights=Weights(depth_smoothness=1.0)),
 }

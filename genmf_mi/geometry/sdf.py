@@ -32,9 +32,9 @@ from genmf_mi.sdf.flexicubes import WEIGHTS, FlexiCubes
 from genmf_mi.sdf.grid import SMALL_COMPONENT_SHARE, without_small_components
 from genmf_mi.sdf.shell import shell
 
-DEFORMATION_RATE, WEIGHTS_RATE = 4.0, 4.0
-"""Learning rates of the deformation (at the end; see :meth:`SdfParameterization.learning_rates`) and of the weights,
-whose parameters have no unit, as multiples of that of Φ."""
+RATE, DEFORMATION_RATE, WEIGHTS_RATE = 2.0, 8.0, 8.0
+"""Learning rates of Φ, of the deformation (at the end; see :meth:`SdfParameterization.learning_rates`) and of the
+weights, whose parameters have no unit, as multiples of that of a mesh."""
 DEFORMATION_LIMIT = 0.25
 """Share of a cell that a sample may move along each axis."""
 
@@ -125,8 +125,8 @@ class SdfParameterization:
         self._weights_factor = self._tensor(np.clip(2 * bound / (self.cell * self.scale), 0, 1))[:, None]
 
     def learning_rates(self, progress: float) -> tuple[float, ...]:
-        """All of the learning rate for Φ, and for the deformation little but ever more."""
-        return 1.0, DEFORMATION_RATE * progress, WEIGHTS_RATE
+        """For Φ and the weights always the same, and for the deformation little but ever more."""
+        return RATE, DEFORMATION_RATE * progress, WEIGHTS_RATE
 
     def heights(self, state: SdfState) -> Tensor:
         """``[N,1]`` by which the surface is raised at the samples of the shell, normalised units, within the bounds."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
+from genmf_mi.assets.sdf_asset import SdfAsset
 from genmf_mi.core.progress import Progress
 from genmf_mi.losses.perceptual import features, lpips
 from genmf_mi.pipeline.evaluator import Evaluator
@@ -22,8 +23,9 @@ SAMPLES = 4
 """Rays per pixel of the images by which amplitudes are compared."""
 SMALLEST_CONTRAST = 0.01
 """Of the encoded albedo; below it the object has one brightness."""
-START = 0.3
-"""Share of the displacement that an optimisation starts from."""
+START, FEW = 0.3, 100
+"""Share of the displacement that an optimisation starts from; with fewer iterations, and on a field, which moves more
+slowly, from all of it."""
 
 
 @dataclass(frozen=True)
@@ -63,10 +65,12 @@ def best_displacement(problem: RefinementProblem, evaluator: Evaluator, progress
     return Displacement(heights(problem, amplitude), amplitude)
 
 
-def initial_heights(problem: RefinementProblem, displacement: Displacement) -> np.ndarray:
+def initial_heights(problem: RefinementProblem, displacement: Displacement, iterations: int) -> np.ndarray:
     """``[V]`` heights to start an optimisation from: a share of the displacement, without its low-frequency component.
 
     Shading sees slopes, not heights: a plateau costs the relief that its rim needs, and shows nothing. And offsets that
-    start near their bounds stay there, because tanh has no slope; all of the displacement is a worse start than none.
+    start near their bounds stay there, because tanh has no slope; all of the displacement is a worse start than none,
+    unless the iterations are too few to come as far.
     """
-    return START * (displacement.heights - problem.low_pass.of(displacement.heights))
+    few = isinstance(problem.asset, SdfAsset) or iterations < FEW
+    return (1.0 if few else START) * (displacement.heights - problem.low_pass.of(displacement.heights))

@@ -34,8 +34,12 @@ from genmf_mi.render.scene import RenderSettings, Scene
 from genmf_mi.render.target import Picture, Reference
 from genmf_mi.sdf.grid import without_small_components
 
-COARSE_SHARE = 0.35
-"""Of the face budget, for the triangles that are everywhere where the texture has crisp edges."""
+COARSE_SHARE, COARSEST_MM = 0.35, 1.3
+"""Of the face budget, for the triangles that are everywhere where the texture has crisp edges; and how long their edges
+may be: with longer ones too much is lost beside the crispest places."""
+FIELD_SMOOTHING = 11.0
+"""λ of a field over that of a mesh whose edges are as long as a cell; a field has four neighbours instead of six, and
+the surface out of it bears no finer relief than its cells."""
 
 
 @dataclass(frozen=True)
@@ -168,13 +172,15 @@ def build_problem(
 def mesh_finely(asset: Asset, body: solid.Solid, config: RefineConfig) -> solid.Solid:
     """The solid in small triangles, smaller ones along the edges of the texture and larger ones elsewhere.
 
-    Even triangles serve a texture without crisp edges best, and an object whose target is not its texture.
+    Even triangles serve a texture without crisp edges best, a small budget, and an object whose target is not its
+    texture.
     """
     frame = Frame.of(body.vertices, config.size_mm)
     mm = 1 / (frame.mm_per_unit * frame.scale)
     if asset.textured:
         coarse = solid.remesh(body, config.mesh_edge_mm * mm, round(COARSE_SHARE * config.max_faces))
-        if crispness(coarse.vertices, coarse.faces, local_range(asset, coarse.vertices, coarse.faces)) > SOFT:
+        crisp = crispness(coarse.vertices, coarse.faces, local_range(asset, coarse.vertices, coarse.faces))
+        if crisp > SOFT and coarse.report["remesh"]["edge_length"] <= COARSEST_MM * mm:
             return solid.refine(coarse, body, partial(local_range, asset), config.max_faces, config.nozzle_mm / 2 * mm)
     return solid.remesh(body, config.mesh_edge_mm * mm, config.max_faces)
 
@@ -241,7 +247,7 @@ def parameterize(problem: RefinementProblem, config: RefineConfig, device: str) 
             surface.faces,
             surface.normals,
             problem.bounds,
-            smoothing=1.5 * (config.mesh_edge_mm / cell_mm) ** 2 * config.smoothing,
+            smoothing=FIELD_SMOOTHING * (config.mesh_edge_mm / cell_mm) ** 2 * config.smoothing,
             wavelength=wavelength,
             device=device,
         )

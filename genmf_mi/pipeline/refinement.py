@@ -102,7 +102,7 @@ def refine(
         alignment = replace(evaluator.alignment, kind=config.alignment)
         optimisation = Optimisation(problem, config, parameterization, alignment, stress, extra_terms)
         if config.method == "relief":
-            parameterization.set_heights(initial_heights(problem, displacement))
+            parameterization.set_heights(initial_heights(problem, displacement, config.iterations))
             show = Preview(run.path / PREVIEW, evaluator, problem.surface).update if run else None
             interrupted = optimise(optimisation, run, progress, resume=resume, show=show)
             state = parameterization.state()

@@ -297,7 +297,7 @@ class TestLosses:
 
     def test_deformation_gains_weight(self):
         rates = [parameterized(ball()).learning_rates(progress) for progress in (0.0, 0.5, 1.0)]
-        assert [r[0] for r in rates] == [1.0] * 3
+        assert [r[0] for r in rates] == [2.0] * 3
         assert rates[0][1] == 0 < rates[1][1] < rates[2][1]
 
 
