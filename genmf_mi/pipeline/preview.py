@@ -26,18 +26,14 @@ class Preview:
 
     def __init__(self, path: Path, evaluator: Evaluator, surface: InitialSurface) -> None:
         self._path, self._evaluator = path, evaluator
-        target, mask = evaluator.target, evaluator.mask
-        inside = mask.sum(dim=(1, 2, 3)).clamp_min(1e-6)
-        mean = (target * mask).sum(dim=(1, 2, 3)) / inside
-        contrast = ((target - mean[:, None, None, None]).square() * mask).sum(dim=(1, 2, 3)) / inside
-        index = int(contrast.argmax())
+        index = evaluator.most_telling
         self._view = evaluator.views[index]
         colour = evaluator.render_colour([self._view], SAMPLES)[0]
         before = self._render(
             torch.as_tensor(surface.vertices, dtype=torch.float32, device=evaluator.device),
             torch.as_tensor(surface.faces, device=evaluator.device),
         )
-        self._panels = (compose(colour, mask[index, 0].cpu().numpy()), before)
+        self._panels = (compose(colour, evaluator.mask[index, 0].cpu().numpy()), before)
 
     def update(self, vertices: Tensor, faces: Tensor | None = None) -> None:
         """Show the part as it is now; arguments as for :func:`bridge.render`. Raises :class:`OutputError`."""
