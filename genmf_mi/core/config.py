@@ -117,7 +117,8 @@ class RefineConfig:
     the chair and the cow of the benchmarks."""
     seed: int = 0
     """Of the random views. Two runs with the same seed on the same machine agree to about 2 µm, since sums are taken in
-    any order; a resumed run agrees with an uninterrupted one as closely."""
+    any order, and to the last bit where Dr.Jit and torch have one thread each; a resumed run agrees with an
+    uninterrupted one as closely."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where to compute."""
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 
+import drjit as dr
+import numpy as np
 import pytest
+import torch
 import trimesh
 from toy_runs import CONFIG, TOLERANCE_MM, Recorder, Waves, difference_mm, ellipsoid
 from toys import stripes
@@ -88,15 +91,26 @@ LONGER = replace(CONFIG, iterations=14, stress=True, stress_weight=10.0, stage_o
 
 
 @pytest.fixture(scope="module")
-def uninterrupted(toy, two_views, small_refinements):
+def one_thread():
+    """Sums over faces and pixels are then taken in one order, so that two runs agree to the last bit."""
+    rendering, learning = dr.thread_count(), torch.get_num_threads()
+    dr.set_thread_count(1)
+    torch.set_num_threads(1)
+    yield
+    dr.set_thread_count(rendering)
+    torch.set_num_threads(learning)
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(toy, two_views, small_refinements, one_thread):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("genmf_mi.stress.model.predictor.Predictor", Waves)
-        return [genmf_mi.refine(toy, LONGER, scene=two_views) for _ in range(2)]
+        return genmf_mi.refine(toy, LONGER, scene=two_views)
 
 
 class TestResumedAtAnyIteration:
-    """A killed run, continued from its last checkpoint, ends as close to an uninterrupted one as a second uninterrupted
-    one does. Stage two begins after seven iterations and evaluates the stress every third one."""
+    """A killed run, continued from its last checkpoint, is the uninterrupted one to the last bit. Stage two begins
+    after seven iterations and evaluates the stress every third one."""
 
     @pytest.mark.parametrize("killed_after", [4, 7, 8, 9, 10, 13])
     def test_ends_as_if_nothing_had_happened(
@@ -110,10 +124,7 @@ class TestResumedAtAnyIteration:
             genmf_mi.refine(toy, LONGER, **run, progress=stop)
         assert Checkpoint.load(tmp_path / "run" / CHECKPOINT).iteration == killed_after
         resumed = genmf_mi.refine(toy, LONGER, **run, resume=True)
-        one, other = uninterrupted
-        assert difference_mm(resumed, one) <= max(2 * difference_mm(one, other), 1e-3)
+        assert np.array_equal(resumed.vertices, uninterrupted.vertices)
         assert [line["stage"] for line in resumed.history] == [1] * 7 + [2] * 7
-        for line, expected in zip(resumed.history, one.history, strict=True):
-            assert line["loss"] == pytest.approx(expected["loss"], rel=1e-4)
-            assert line["gradient_scale"] == pytest.approx(expected["gradient_scale"], rel=1e-2)
-            assert line.get("stress_mean", 0) == pytest.approx(expected.get("stress_mean", 0), rel=1e-4)
+        for line, expected in zip(resumed.history, uninterrupted.history, strict=True):
+            assert {**line, "seconds": 0} == {**expected, "seconds": 0}
