@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from genmf_mi.core import memory
 from genmf_mi.core.errors import OutputError
 from genmf_mi.core.files import atomic
 from genmf_mi.core.frame import Frame
@@ -46,6 +47,7 @@ def write(
         with atomic(folder / name) as temporary:
             writer(temporary)
             _compare(temporary, points, faces, tolerance)
+        memory.trim_malloc()  # reading XML back takes 200 MB in small pieces
     return {Path(name).suffix[1:]: str(folder / name) for name, *_ in jobs}
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -11,58 +13,77 @@ CLIP = 10.0
 """Entries of a gradient are clipped at this many times its 99th percentile."""
 
 
-class UniformAdam(torch.optim.Optimizer):
+@dataclass
+class Moments:
+    """Of the gradient of one parameter: running means of it and of its square, how many steps they are of, and the
+    scale of the last."""
+
+    first: Tensor
+    second: Tensor
+    step: int = 0
+    scale: float = 0.0
+
+
+class UniformAdam:
     """Adam whose step is scaled by one number per parameter (Nicolet et al. 2021), made robust.
 
     The scale is the 99th percentile of the root second moments instead of their maximum, and single entries of the
     gradient are clipped at ten times that percentile: a vertex on a silhouette, whose gradient is a spike, must neither
     jump nor slow down all others. Entries that are not finite count as 0; their number is kept in ``nonfinite``.
 
+    It is no ``torch.optim.Optimizer``, whose constructor loads torch's compiler: a second, and 100 MB.
+
     Args:
-        params: leaf tensors; each has a scale and, through its parameter group, a learning rate of its own.
-        lr: learning rate.
+        parameters: leaf tensors, each with a scale of its own.
+        rate: learning rate, of all parameters alike; ``rates`` has that of each and may be set before any step.
         betas: decay of the first and the second moment.
         floor: added to the scale. Gradients well below the floor move the surface in proportion; without it, round-off
             would be amplified to full steps.
     """
 
     def __init__(
-        self, params: Iterable[Tensor], lr: float, *, betas: tuple[float, float] = (0.9, 0.99), floor: float = 0.0
+        self, parameters: Iterable[Tensor], rate: float, *, betas: tuple[float, float] = (0.9, 0.99), floor: float = 0.0
     ) -> None:
-        # A group each, so that the learning rates can be set one by one
-        super().__init__([{"params": [p]} for p in params], {"lr": lr, "betas": betas, "floor": floor})
+        self._parameters, self._betas, self._floor = tuple(parameters), betas, floor
+        self.rates = [rate] * len(self._parameters)
+        self._moments = [Moments(torch.zeros_like(p), torch.zeros_like(p)) for p in self._parameters]
         self.nonfinite = 0
 
     @property
     def scale(self) -> float:
         """The root second moment by which the last step of the first parameter was divided; 0 before any step."""
-        state = self.state.get(self.param_groups[0]["params"][0], {})
-        return float(state.get("scale", 0.0))
+        return self._moments[0].scale
 
     @torch.no_grad()
-    def step(self, closure: Callable[[], float] | None = None) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def step(self) -> None:
         """Move the parameters along their gradients, and clear these."""
         self.nonfinite = 0
-        for group in self.param_groups:
-            beta1, beta2 = group["betas"]
-            for parameter in group["params"]:
-                gradient = parameter.grad
-                parameter.grad = None
-                self.nonfinite += int((~torch.isfinite(gradient)).sum())
-                gradient = torch.nan_to_num(gradient, nan=0.0, posinf=0.0, neginf=0.0)
-                state = self.state[parameter]
-                if not state:
-                    state["step"] = 0
-                    state["exp_avg"], state["exp_avg_sq"] = torch.zeros_like(parameter), torch.zeros_like(parameter)
-                state["step"] += 1
-                limit = CLIP * percentile(gradient.abs(), 0.99)
-                gradient.clamp_(-limit, limit)
-                state["exp_avg"].mul_(beta1).add_(gradient, alpha=1 - beta1)
-                state["exp_avg_sq"].mul_(beta2).addcmul_(gradient, gradient, value=1 - beta2)
-                scale = (percentile(state["exp_avg_sq"], 0.99) / (1 - beta2 ** state["step"])).sqrt()
-                update = state["exp_avg"] / (1 - beta1 ** state["step"]) / (scale + group["floor"] + 1e-20)
-                parameter.sub_(update, alpha=group["lr"])
-                state["scale"] = float(scale)
+        beta1, beta2 = self._betas
+        for parameter, rate, moments in zip(self._parameters, self.rates, self._moments, strict=True):
+            gradient, parameter.grad = parameter.grad, None
+            assert gradient is not None
+            self.nonfinite += int((~torch.isfinite(gradient)).sum())
+            gradient = torch.nan_to_num(gradient, nan=0.0, posinf=0.0, neginf=0.0)
+            moments.step += 1
+            limit = CLIP * percentile(gradient.abs(), 0.99)
+            gradient.clamp_(-limit, limit)
+            moments.first.mul_(beta1).add_(gradient, alpha=1 - beta1)
+            moments.second.mul_(beta2).addcmul_(gradient, gradient, value=1 - beta2)
+            scale = (percentile(moments.second, 0.99) / (1 - beta2**moments.step)).sqrt()
+            update = moments.first / (1 - beta1**moments.step) / (scale + self._floor + 1e-20)
+            parameter.sub_(update, alpha=rate)
+            moments.scale = float(scale)
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that the following steps depend on but for the parameters and the rates; not a copy."""
+        return {"moments": [vars(moments) for moments in self._moments]}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue from a copy of a :meth:`state_dict`, on the devices of the parameters."""
+        self._moments = [
+            Moments(m["first"].to(p.device, copy=True), m["second"].to(p.device, copy=True), m["step"], m["scale"])
+            for p, m in zip(self._parameters, state["moments"], strict=True)
+        ]
 
 
 def percentile(x: Tensor, share: float) -> Tensor:

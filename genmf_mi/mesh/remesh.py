@@ -27,8 +27,7 @@ def uniform(
     Raises:
         SolidError: neither way gives a closed manifold within ``max_faces``.
     """
-    wanted = edge_length
-    shortest = float(np.sqrt(measures.face_areas(vertices, faces).sum() / max_faces * 4 / np.sqrt(3)))
+    wanted, shortest = edge_length, shortest_edge(vertices, faces, max_faces)
     imperfect = None
     for name, method in (("isotropic", _isotropic), ("divided", _divided)):
         edge_length = max(wanted, shortest)
@@ -58,6 +57,11 @@ def uniform(
             "Allow more faces, or simplify the asset in a mesh editor."
         )
     return imperfect
+
+
+def shortest_edge(vertices: np.ndarray, faces: np.ndarray, max_faces: int) -> float:
+    """The edge length of equilateral triangles, ``max_faces`` of which cover the surface."""
+    return float(np.sqrt(measures.face_areas(vertices, faces).sum() / max_faces * 4 / np.sqrt(3)))
 
 
 def _isotropic(vertices: np.ndarray, faces: np.ndarray, edge_length: float) -> tuple[np.ndarray, np.ndarray]:

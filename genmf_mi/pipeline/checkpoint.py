@@ -13,6 +13,7 @@ from torch import Tensor
 
 from genmf_mi.core.errors import OutputError
 from genmf_mi.core.files import atomic
+from genmf_mi.geometry.uniform_adam import UniformAdam
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class Checkpoint:
         cls,
         iteration: int,
         parameters: tuple[Tensor, ...],
-        optimiser: torch.optim.Optimizer,
+        optimiser: UniformAdam,
         stress: dict[str, Any],
         stage_one: Checkpoint | None = None,
     ) -> Checkpoint:

@@ -184,8 +184,8 @@ def step(optimisation: Optimisation) -> dict[str, float]:
     loss.backward()  # pyright: ignore[reportUnknownMemberType]
 
     factors = parameterization.learning_rates(index / config.iterations)
-    for group, factor in zip(optimiser.param_groups, factors, strict=True):
-        group["lr"] = factor * config.learning_rate * schedule(index, config.iterations)
+    rate = config.learning_rate * schedule(index, config.iterations)
+    optimiser.rates = [factor * rate for factor in factors]
     optimiser.step()
     if optimiser.nonfinite:
         figures["nonfinite_gradients"] = optimiser.nonfinite

@@ -26,6 +26,7 @@ from genmf_mi.geometry.sdf import SdfParameterization
 from genmf_mi.mesh import solid, topology
 from genmf_mi.mesh.manifold import is_solid
 from genmf_mi.mesh.measures import signed_volume
+from genmf_mi.mesh.remesh import shortest_edge
 from genmf_mi.pipeline import evaluator
 from genmf_mi.pipeline.detail import DETAIL_MM, FULL_CONTRAST, SOFT, crispness, local_contrast, local_range
 from genmf_mi.render import bridge, target
@@ -177,10 +178,10 @@ def mesh_finely(asset: Asset, body: solid.Solid, config: RefineConfig) -> solid.
     """
     frame = Frame.of(body.vertices, config.size_mm)
     mm = 1 / (frame.mm_per_unit * frame.scale)
-    if asset.textured:
-        coarse = solid.remesh(body, config.mesh_edge_mm * mm, round(COARSE_SHARE * config.max_faces))
-        crisp = crispness(coarse.vertices, coarse.faces, local_range(asset, coarse.vertices, coarse.faces))
-        if crisp > SOFT and coarse.report["remesh"]["edge_length"] <= COARSEST_MM * mm:
+    few = round(COARSE_SHARE * config.max_faces)
+    if asset.textured and shortest_edge(body.vertices, body.faces, few) <= COARSEST_MM * mm:
+        coarse = solid.remesh(body, config.mesh_edge_mm * mm, few)
+        if crispness(coarse.vertices, coarse.faces, local_range(asset, coarse.vertices, coarse.faces)) > SOFT:
             return solid.refine(coarse, body, partial(local_range, asset), config.max_faces, config.nozzle_mm / 2 * mm)
     return solid.remesh(body, config.mesh_edge_mm * mm, config.max_faces)
 

@@ -157,6 +157,7 @@ def scores_of(outcome: Outcome, shapes: Shapes, progress: Progress) -> tuple[dic
     table = scorer.verdicts(buffers)
     if not scorer.reference.pictures:
         progress.stage("scoring, unseen views")
+        memory.trim_malloc()
         unseen = replace(scorer, views=unseen_views(scorer.views))
         table["unseen"] = unseen.verdicts({name: unseen.render(*shape) for name, shape in shapes.items()})
     return table, buffers

@@ -89,8 +89,9 @@ class Reference:
     def render_colour(self, views: Sequence[View], seed: int = 0, samples: int = 0) -> Float32[ndarray, "B H W 3"]:
         """``[B,H,W,3]`` linear RGB of the textured object under the two lights."""
         image = np.stack([self._channel(name, views, seed, samples) for name in (RED, GREEN, BLUE)], axis=-1)
-        for i, fitted in self._fitted(views, bridge.render(self.scene, views, seed=seed, samples=samples)):
-            image[i] = fitted[..., :3]
+        if self.pictures:
+            for i, fitted in self._fitted(views, bridge.render(self.scene, views, seed=seed, samples=samples)):
+                image[i] = fitted[..., :3]
         return image
 
     def _fitted(

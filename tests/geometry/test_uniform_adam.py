@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -40,11 +42,10 @@ class TestUniformAdam:
             for one, other, size in zip(together, alone, (1.0, 1e-4)):
                 gradient = torch.tensor(noise(len(one), seed=seed) * size, dtype=torch.float32)
                 one.grad, other.grad = gradient.clone(), gradient.clone()
-            for group, rate in zip(adam.param_groups, (0.2, 0.05)):
-                group["lr"] = rate
+            adam.rates = [0.2, 0.05]
             adam.step()
             for optimiser, rate in zip(single, (0.2, 0.05)):
-                optimiser.param_groups[0]["lr"] = rate
+                optimiser.rates = [rate]
                 optimiser.step()
         for one, other in zip(together, alone):
             torch.testing.assert_close(one, other)
@@ -118,3 +119,15 @@ class TestUniformAdam:
         parameter.grad = torch.zeros(100, 1)
         UniformAdam([parameter], 0.1).step()
         assert (parameter == 0).all()
+
+    def test_does_not_load_the_compiler_of_torch(self):
+        code = """
+import sys, torch
+from genmf_mi.geometry.uniform_adam import UniformAdam
+x = torch.ones(9, requires_grad=True)
+adam = UniformAdam([x], 0.1)
+x.sum().backward()
+adam.step()
+assert "torch._dynamo" not in sys.modules
+"""
+        subprocess.run([sys.executable, "-c", code], check=True)

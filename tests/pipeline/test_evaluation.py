@@ -17,7 +17,8 @@ from genmf_mi.assets.asset import Asset
 from genmf_mi.core.config import RefineConfig
 from genmf_mi.losses.alignment import Alignment
 from genmf_mi.pipeline import evaluation, evaluator
-from genmf_mi.pipeline.evaluator import UNSEEN_TURNS, Evaluator, ssim, unseen_views
+from genmf_mi.pipeline.evaluator import UNSEEN_TURNS, Evaluator, unseen_views
+from genmf_mi.pipeline.scoring import ssim
 from genmf_mi.render import bridge, scene, scene_file, target, variant
 from genmf_mi.render.scene import RenderSettings, View
 

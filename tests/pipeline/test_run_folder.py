@@ -14,6 +14,7 @@ import yaml
 
 from genmf_mi.core.config import PRESETS, RefineConfig, Weights
 from genmf_mi.core.errors import ConfigError, OutputError
+from genmf_mi.geometry.uniform_adam import UniformAdam
 from genmf_mi.pipeline.checkpoint import Checkpoint
 from genmf_mi.pipeline.run_folder import CHECKPOINT, CONFIG, HISTORY, METRICS, RunFolder
 
@@ -33,7 +34,7 @@ def lines(first: int, last: int) -> list[dict]:
 def state(iteration: int) -> Checkpoint:
     """As after so many iterations, in stage two."""
     parameter = torch.arange(6.0).view(2, 3).requires_grad_()
-    optimiser = torch.optim.Adam([parameter])
+    optimiser = UniformAdam([parameter], 0.1)
     parameter.grad = torch.ones(2, 3)
     optimiser.step()
     stage_one = Checkpoint.of(10, (parameter,), optimiser, {})
