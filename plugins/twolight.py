@@ -2,6 +2,7 @@ from __future__ import annotations  # Delayed parsing of type annotations
 
 import drjit as dr
 import mitsuba as mi
+from genmf_mi.plugins.layers import Layers
 
 
 def softplus_cosine(x: mi.Float, sharpness: mi.Float) -> mi.Float:
@@ -61,6 +62,21 @@ class TwoLight(mi.BSDF):
          (Default: 8)
        - |exposed|, |differentiable|
 
+     * - layers
+       - |bool|
+       - Shade as a filament print does whose layers are too fine to see.
+         (Default: false)
+
+     * - build
+       - |vector|
+       - The direction in which the layers are stacked, in the world frame.
+         (Default: (0, 1, 0))
+
+     * - bulge
+       - |float|
+       - How far the side of a bead bulges, in layer heights; 0.5 is round.
+         (Default: 0.5)
+
      * - lights
        - |string|
        - Frame of the two directions: ``camera`` (x right, y up, z towards the
@@ -76,6 +92,13 @@ class TwoLight(mi.BSDF):
         \mathbf{l}_k) + w_f\, \phi(\mathbf{n} \cdot \mathbf{l}_f) \right)
         \right), \qquad
         \phi(x) = \frac{\mathrm{softplus}(s x)}{\mathrm{softplus}(s)}.
+
+    With ``layers``, the normal is replaced by the mix of normals that a stack of
+    beads along ``build`` shows in the direction of the viewer, and G is the mean
+    over them (:py:class:`genmf_mi.plugins.layers.Layers`). It does not depend on
+    the height of the layers as long as they are not resolved. Level walls look
+    alike then, whatever their tilt: a tread or an overhang is all that relief
+    shows there.
 
     The integrator :ref:`monochrome <integrator-monochrome>` reads G through
     :py:meth:`shading`. Under any other integrator, the material behaves as a
@@ -114,6 +137,9 @@ class TwoLight(mi.BSDF):
         self.fill_weight = mi.Float(props.get("fill_weight", 0.25))
         self.sharpness = mi.Float(props.get("sharpness", 8.0))
         self.lights = props.get("lights", "camera")
+        self.build = mi.Vector3f(props.get("build", [0.0, 1.0, 0.0]))
+        self.bulge = props.get("bulge", 0.5)
+        self.layers = Layers(self.bulge) if props.get("layers", False) else None
 
         if self.lights not in ("camera", "world"):
             raise Exception(f'"lights" must be "camera" or "world", got "{self.lights}"')
@@ -121,7 +147,9 @@ class TwoLight(mi.BSDF):
             raise Exception('"ambient" must lie in [0, 1)')
         if props.get("sharpness", 8.0) <= 0:
             raise Exception('"sharpness" must be positive')
-        for name in ("key", "fill"):
+        if not 0 <= self.bulge <= 1:
+            raise Exception('"bulge" must lie in [0, 1]')
+        for name in ("key", "fill", "build"):
             if dr.all(getattr(self, name) == 0):
                 raise Exception(f'"{name}" is a direction and cannot be zero')
 
@@ -166,12 +194,22 @@ class TwoLight(mi.BSDF):
     def shading(self, si: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.Float:
         """The grey value G of the two-light model."""
         n = si.sh_frame.n
+        if self.layers:
+            # Where the camera is does not depend on the surface
+            view = dr.detach(si.to_world(si.wi))
+            mix = self.layers.normals(dr.normalize(n), view, dr.normalize(self.build), active)
+            diffuse = sum(weight * self.diffuse(normal) for weight, normal in mix)
+        else:
+            diffuse = self.diffuse(n)
+        return self.reflectance(si, active) * dr.lerp(diffuse, 1, self.ambient)
+
+    def diffuse(self, n: mi.Vector3f) -> mi.Float:
+        """What the two lights give to a surface of normal ``n``, without the albedo."""
         key = dr.dot(n, self.to_world @ dr.normalize(self.key))
         fill = dr.dot(n, self.to_world @ dr.normalize(self.fill))
-        diffuse = self.key_weight * softplus_cosine(key, self.sharpness) + self.fill_weight * softplus_cosine(
+        return self.key_weight * softplus_cosine(key, self.sharpness) + self.fill_weight * softplus_cosine(
             fill, self.sharpness
         )
-        return self.reflectance(si, active) * dr.lerp(diffuse, 1, self.ambient)
 
     def eval_diffuse_reflectance(self, si, active=True):
         return mi.Spectrum(self.reflectance(si, active))
