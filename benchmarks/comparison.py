@@ -93,7 +93,7 @@ def shapes(
 
 def write_strip(path: Path, evaluator: Evaluator, parts: dict[str, bridge.Buffers]) -> None:
     """The textured object and the parts side by side, in the view of the most contrast."""
-    i = evaluator.most_telling
+    i = evaluator.scorer.most_telling
     colour = evaluator.render_colour([evaluator.views[i]])[0]
     pictures = [compose(colour, evaluator.mask[i, 0].cpu().numpy())]
     for part in parts.values():

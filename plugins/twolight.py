@@ -138,8 +138,7 @@ class TwoLight(mi.BSDF):
         self.sharpness = mi.Float(props.get("sharpness", 8.0))
         self.lights = props.get("lights", "camera")
         self.build = mi.Vector3f(props.get("build", [0.0, 1.0, 0.0]))
-        self.bulge = props.get("bulge", 0.5)
-        self.layers = Layers(self.bulge) if props.get("layers", False) else None
+        self.bulge, self.layers = props.get("bulge", 0.5), None
 
         if self.lights not in ("camera", "world"):
             raise Exception(f'"lights" must be "camera" or "world", got "{self.lights}"')
@@ -152,6 +151,9 @@ class TwoLight(mi.BSDF):
         for name in ("key", "fill", "build"):
             if dr.all(getattr(self, name) == 0):
                 raise Exception(f'"{name}" is a direction and cannot be zero')
+
+        if props.get("layers", False):
+            self.stack(self.bulge)
 
         # Rotation from the frame of the lights to the world: see `aim()`
         self.to_world = mi.Matrix3f(1)
@@ -167,6 +169,10 @@ class TwoLight(mi.BSDF):
 
     def parameters_changed(self, keys):
         pass
+
+    def stack(self, bulge: float):
+        """Shade as a stack of beads from now on, whose sides bulge by so many layer heights."""
+        self.bulge, self.layers = bulge, Layers(bulge)
 
     def aim(self, sensor: mi.Sensor):
         """

@@ -19,6 +19,7 @@ INTERRUPTED = 130
 COMMANDS = {
     "refine": ("ASSET", "refine a file or a bundled sample; writes to runs/NAME"),
     "evaluate": ("A B", "score a one-colour shape B against the textured asset A"),
+    "print-check": ("PART", "slice a part and look at it as it comes off the printer"),
     "batch": ("FILES ...", "refine many assets, one after the other"),
     "sweep": ("ASSET", "what a lower thermal stress costs in appearance"),
     "convert": ("ASSET", "from a mesh to an SDF file, or from an SDF file to a coloured mesh"),
@@ -64,7 +65,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"error: there is no command {command!r}.\n\n{USAGE}", file=sys.stderr)
         return 2
     try:
-        return import_module(f"genmf_mi.cli.{command}").main(rest)
+        return import_module(f"genmf_mi.cli.{command.replace('-', '_')}").main(rest)
     except GenmfError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code

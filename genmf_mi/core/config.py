@@ -7,6 +7,7 @@ from math import isfinite
 from typing import Any, Literal
 
 from genmf_mi.core.errors import ConfigError
+from genmf_mi.core.printer import PRINTERS, PrinterName
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,9 @@ class RefineConfig:
 
     size_mm: float = 100.0
     """Longest side of the printed part."""
+    printer: PrinterName = "smooth"
+    """What the part is made with. fdm-*: filament in layers of so many mm, whose shading is then optimised and judged;
+    smooth: castings, and prints that are sanded and primed; resin: layers that cannot be seen."""
     material: Literal["pla", "petg", "abs", "resin"] = "pla"
     """What the part is printed in, for the stress stage and --verify."""
     max_relief_mm: float = 1.0
@@ -127,6 +131,7 @@ class RefineConfig:
             if not good:
                 raise ConfigError(what)
 
+        require(self.printer in PRINTERS, f"there is no printer {self.printer}: choose one of {', '.join(PRINTERS)}.")
         for name, value in vars(self).items():
             if isinstance(value, float):
                 require(isfinite(value), f"{name.replace('_', '-')} must be a finite number, not {value}.")

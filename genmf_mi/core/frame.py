@@ -57,3 +57,8 @@ class Frame:
         mm = np.stack([mm[:, 0], -mm[:, 2], mm[:, 1]], axis=1)
         mm[:, 2] -= mm[:, 2].min()
         return mm
+
+    def from_print(self, points_mm: np.ndarray, base: float) -> np.ndarray:
+        """The inverse of :meth:`to_print`, for a part whose lowest point is at ``base`` in the normalised frame."""
+        mm = np.asarray(points_mm, dtype=np.float64)
+        return np.stack([mm[:, 0], mm[:, 2], -mm[:, 1]], axis=1) / self.mm_per_unit + np.array([0.0, base, 0.0])

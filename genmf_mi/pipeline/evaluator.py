@@ -82,14 +82,6 @@ class Evaluator:
         """The part as it is lit, before any alignment; arguments as for :func:`bridge.render`."""
         return bridge.render(self.scene, self.views, vertices, faces, seed=SEED, samples=self.samples)
 
-    @property
-    def most_telling(self) -> int:
-        """Index of the view in which the textured object has the most contrast."""
-        inside = self.mask.sum(dim=(1, 2, 3)).clamp_min(1e-6)
-        mean = (self.target * self.mask).sum(dim=(1, 2, 3)) / inside
-        contrast = ((self.target - mean[:, None, None, None]).square() * self.mask).sum(dim=(1, 2, 3)) / inside
-        return int(contrast.argmax())
-
     def render_colour(self, views: Sequence[View], samples: int = 0) -> np.ndarray:
         """``[B,H,W,3]`` the textured object, see :meth:`Reference.render_colour`; the evaluator's samples if 0."""
         self.reference.scene.resize(self.scene.resolution)

@@ -26,7 +26,7 @@ class Preview:
 
     def __init__(self, path: Path, evaluator: Evaluator, surface: InitialSurface) -> None:
         self._path, self._evaluator = path, evaluator
-        index = evaluator.most_telling
+        index = evaluator.scorer.most_telling
         self._view = evaluator.views[index]
         colour = evaluator.render_colour([self._view], SAMPLES)[0]
         before = self._render(

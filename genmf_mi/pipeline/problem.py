@@ -15,6 +15,7 @@ from genmf_mi.core.colour import to_srgb, value
 from genmf_mi.core.config import RefineConfig
 from genmf_mi.core.errors import AssetError, SolidError
 from genmf_mi.core.frame import Frame
+from genmf_mi.core.printer import PRINTERS
 from genmf_mi.core.progress import Progress
 from genmf_mi.core.timer import Timer
 from genmf_mi.geometry.displacement_bounds import DisplacementBounds, displacement_bounds
@@ -204,12 +205,13 @@ def build_scenes(
 
     ply = folder / "part.ply"
     normals = bridge.write_ply(ply, vertices, faces)
-    optimised = RenderSettings(radius, config.resolution, config.samples)
+    bulge = PRINTERS[config.printer].visible_bulge
+    optimised = RenderSettings(radius, config.resolution, config.samples, bulge)
     training = ScenePair(
         scenes.load(xml, ply, **asdict(optimised), silhouettes=config.silhouettes),
         target.build_reference(xml, folder, vertices, faces, normals, albedo, optimised, pictures),
     )
-    scored = RenderSettings(radius, evaluator.RESOLUTION, evaluator.SAMPLES)
+    scored = RenderSettings(radius, evaluator.RESOLUTION, evaluator.SAMPLES, bulge)
     evaluation = ScenePair(scenes.load(xml, ply, **asdict(scored)), training.reference)
     return InitialSurface(vertices, faces, normals, albedo(vertices, normals)), training, evaluation
 

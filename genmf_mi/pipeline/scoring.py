@@ -57,6 +57,14 @@ class Scorer:
         self.target = target.clamp(0, 1)
         self.target_gradient = gradient_magnitude(self.target)
 
+    @property
+    def most_telling(self) -> int:
+        """Index of the view in which the textured object has the most contrast."""
+        inside = self.mask.sum(dim=(1, 2, 3)).clamp_min(1e-6)
+        mean = (self.target * self.mask).sum(dim=(1, 2, 3)) / inside
+        contrast = ((self.target - mean[:, None, None, None]).square() * self.mask).sum(dim=(1, 2, 3)) / inside
+        return int(contrast.argmax())
+
     @torch.no_grad()
     def align(self, part: Pictured, alignment: Alignment) -> Tensor:
         """``[B,1,H,W]`` the part as it is compared: encoded, aligned, clipped, 0 outside of the mask."""

@@ -48,11 +48,13 @@ class RenderSettings:
 
     radius: of the object's bounding sphere about the origin, normalised units; sets the camera's distance.
     resolution, samples: pixels per side and samples per pixel; the scene file's own defaults if None.
+    bulge: of the beads of a filament print whose layers are too fine to see (``twolight``); None for a smooth surface.
     """
 
     radius: float
     resolution: int | None = None
     samples: int | None = None
+    bulge: float | None = None
 
 
 @dataclass
@@ -136,6 +138,7 @@ def load(
     radius: float,
     resolution: int | None = None,
     samples: int | None = None,
+    bulge: float | None = None,
     attribute: str = "",
     silhouettes: bool = False,
     holds: str = MESH,
@@ -143,7 +146,7 @@ def load(
 ) -> Scene:
     """Load a scene file around the PLY file ``mesh``; the variant must have been chosen (:func:`variant.use`).
 
-    radius, resolution, samples: as in :class:`RenderSettings`.
+    radius, resolution, samples, bulge: as in :class:`RenderSettings`.
     attribute: mesh attribute that multiplies the albedo, for rendering the textured object.
     silhouettes: also differentiate silhouettes; the image then has no geometry buffers.
     holds: :data:`MESH`, or :data:`GRID` if ``mesh`` is a file of :func:`genmf_mi.render.sdf_scene.write_grid`; its
@@ -160,6 +163,8 @@ def load(
     shape, sensor = _shape_and_sensor(scene, xml)
     if attribute:
         shape.bsdf().attribute = attribute
+    if bulge is not None:
+        shape.bsdf().stack(bulge)
     integrator = scene.integrator()
     if type(integrator).__name__ != "Monochrome":
         raise SceneError(f"the integrator of {xml} must be `monochrome`: {START}")

@@ -7,7 +7,7 @@ smooth and before and after can be compared by eye.
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
@@ -170,6 +170,28 @@ def write_row(path: str | Path, pictures: Sequence[Image.Image], names: Sequence
         x = margin + i * (width + gap)
         draw.text((x, 8), name, _INK, _font(16, True))
         sheet.paste(picture, (x, header))
+    with atomic(path) as temporary:
+        sheet.save(temporary, "PNG")
+
+
+def write_rows(path: str | Path, rows: Mapping[str, Sequence[Image.Image]], names: Sequence[str]) -> None:
+    """Write rows of pictures of one size, each row under its name, each column under its own.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    width, height = next(iter(rows.values()))[0].size
+    header, title, margin, gap = 40, 30, 16, 8
+    size = 2 * margin + len(names) * (width + gap) - gap, header + len(rows) * (title + height) + margin
+    sheet = Image.new("RGB", size, _PAPER)
+    draw = ImageDraw.Draw(sheet)
+    for column, name in enumerate(names):
+        draw.text((margin + column * (width + gap), 12), name, _INK, _font(17, True))
+    for row, (name, pictures) in enumerate(rows.items()):
+        y = header + row * (title + height)
+        draw.text((margin, y + 6), name, _FAINT, _font(15))
+        for column, picture in enumerate(pictures):
+            sheet.paste(picture, (margin + column * (width + gap), y + title))
     with atomic(path) as temporary:
         sheet.save(temporary, "PNG")
 

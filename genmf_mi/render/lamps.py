@@ -1,0 +1,83 @@
+"""Light with shadows: a part under two soft lamps and a dim sky, by path tracing.
+
+``twolight`` knows no shadows, so a groove is as bright in it as its walls are steep. A print on a desk has them.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Float32
+from numpy import ndarray
+from torch import Tensor
+
+from genmf_mi.render import variant
+from genmf_mi.render.scene import Scene, View, camera_to_world, rotation
+from genmf_mi.render.untyped import MitsubaObject, MitsubaScene, mi
+
+RADIUS = np.radians(12.0)
+"""Of the disc that a lamp covers in the sky."""
+SKY = 0.35
+"""Share of the light that comes from everywhere, on a surface that faces all of it."""
+BOUNCES = 3
+"""Path vertices after the camera: what a surface receives from the lamps, and once from its surroundings."""
+_HEIGHT = 64
+"""Rows of the picture of the sky."""
+
+
+class Studio:
+    """The mesh in ``ply`` under lamps in the directions of the key and the fill light of ``scene``.
+
+    Args:
+        scene: gives the camera, the albedo and the lights, which travel with the camera.
+        resolution, samples: pixels per side, and rays per pixel.
+    """
+
+    def __init__(self, scene: Scene, ply: str | Path, resolution: int, samples: int) -> None:
+        material = scene.material
+        self._distance, self._samples = scene.distance, samples
+        self._scene: MitsubaScene = mi.load_dict({
+            "type": "scene",
+            "integrator": {"type": "path", "max_depth": BOUNCES, "hide_emitters": True},
+            "sky": {"type": "envmap", "bitmap": mi.Bitmap(_sky(scene, material))},
+            "sensor": {
+                "type": "perspective", "fov": scene.fov,
+                "film": {"type": "hdrfilm", "width": resolution, "height": resolution, "pixel_format": "luminance",
+                         "rfilter": {"type": "box"}},
+                "sampler": {"type": "independent", "sample_count": samples},
+            },
+            "part": {
+                "type": "ply", "filename": str(ply),
+                "bsdf": {"type": "diffuse", "reflectance": {"type": "uniform", "value": material["albedo"]}},
+            },
+        })  # fmt: skip
+        self._params: MitsubaObject = mi.traverse(self._scene)
+
+    def render(self, view: View, seed: int = 0) -> Float[Tensor, "1 1 H W"]:
+        """Grey values ``[1,1,H,W]``, linear, weighted by the coverage."""
+        pose, turn = camera_to_world(view, self._distance), np.eye(4)
+        # The sky is given in the frame of the lights: x to the right, y up, z towards the viewer
+        turned = rotation("y", view.light_turn[0]) @ rotation("x", view.light_turn[1])
+        turn[:3, :3] = pose[:3, :3] @ np.diag([-1.0, 1.0, -1.0]) @ turned
+        self._params[variant.camera_pose_key("sensor")] = mi.Transform4f(pose)
+        self._params["sky.to_world"] = mi.Transform4f(turn)
+        self._params.update()
+        image = mi.render(self._scene, seed=seed, spp=self._samples).torch()
+        return image.permute(2, 0, 1)[None, :1]
+
+
+def _sky(scene: Scene, material: dict[str, Any]) -> Float32[ndarray, "H W 3"]:
+    """Radiance by direction, so that a surface that faces the key light alone gets about its weight."""
+    # Mitsuba: u = atan2(x, -z) / 2π, v = acos(y) / π
+    rows, columns = (np.arange(_HEIGHT) + 0.5) / _HEIGHT, (np.arange(2 * _HEIGHT) + 0.5) / (2 * _HEIGHT)
+    polar, around = np.meshgrid(rows * np.pi, columns * 2 * np.pi, indexing="ij")
+    towards = np.stack([np.sin(polar) * np.sin(around), np.cos(polar), -np.sin(polar) * np.cos(around)], axis=-1)
+    radiance = np.full(towards.shape[:2], SKY / np.pi)
+    for key, direction in scene.lights.items():
+        weight = material["key_weight" if key.endswith("key") else "fill_weight"]
+        inside = towards @ (direction / np.linalg.norm(direction)) > np.cos(RADIUS)
+        solid_angle = float((np.sin(polar) * inside).sum() * np.pi / _HEIGHT * np.pi / _HEIGHT)
+        radiance += np.where(inside, (1 - SKY) * weight / max(solid_angle, 1e-6), 0)
+    return np.repeat(radiance[..., None], 3, axis=-1).astype(np.float32)
