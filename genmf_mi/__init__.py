@@ -18,11 +18,12 @@ if TYPE_CHECKING:
     from genmf_mi.assets.sdf_asset import SdfAsset
     from genmf_mi.core.config import RefineConfig
     from genmf_mi.pipeline.evaluation import evaluate
+    from genmf_mi.pipeline.print_check import print_check
     from genmf_mi.pipeline.refinement import refine
     from genmf_mi.pipeline.results import Result
 
 __version__ = "0.1.0"
-__all__ = ["Asset", "RefineConfig", "Result", "SdfAsset", "evaluate", "load", "refine"]
+__all__ = ["Asset", "RefineConfig", "Result", "SdfAsset", "evaluate", "load", "print_check", "refine"]
 
 _DEFINED_IN = {
     "Asset": "genmf_mi.assets.asset",
@@ -31,6 +32,7 @@ _DEFINED_IN = {
     "SdfAsset": "genmf_mi.assets.sdf_asset",
     "evaluate": "genmf_mi.pipeline.evaluation",
     "load": "genmf_mi.assets.asset",
+    "print_check": "genmf_mi.pipeline.print_check",
     "refine": "genmf_mi.pipeline.refinement",
 }
 

@@ -138,7 +138,7 @@ class TwoLight(mi.BSDF):
         self.sharpness = mi.Float(props.get("sharpness", 8.0))
         self.lights = props.get("lights", "camera")
         self.build = mi.Vector3f(props.get("build", [0.0, 1.0, 0.0]))
-        self.bulge, self.layers = props.get("bulge", 0.5), None
+        bulge, self.layers = props.get("bulge", 0.5), None
 
         if self.lights not in ("camera", "world"):
             raise Exception(f'"lights" must be "camera" or "world", got "{self.lights}"')
@@ -146,14 +146,14 @@ class TwoLight(mi.BSDF):
             raise Exception('"ambient" must lie in [0, 1)')
         if props.get("sharpness", 8.0) <= 0:
             raise Exception('"sharpness" must be positive')
-        if not 0 <= self.bulge <= 1:
+        if not 0 <= bulge <= 1:
             raise Exception('"bulge" must lie in [0, 1]')
         for name in ("key", "fill", "build"):
             if dr.all(getattr(self, name) == 0):
                 raise Exception(f'"{name}" is a direction and cannot be zero')
 
         if props.get("layers", False):
-            self.stack(self.bulge)
+            self.stack(bulge)
 
         # Rotation from the frame of the lights to the world: see `aim()`
         self.to_world = mi.Matrix3f(1)
@@ -170,9 +170,9 @@ class TwoLight(mi.BSDF):
     def parameters_changed(self, keys):
         pass
 
-    def stack(self, bulge: float):
-        """Shade as a stack of beads from now on, whose sides bulge by so many layer heights."""
-        self.bulge, self.layers = bulge, Layers(bulge)
+    def stack(self, bulge: float | None):
+        """Shade as a stack of beads from now on, whose sides bulge by so many layer heights; None: smooth."""
+        self.layers = None if bulge is None else Layers(bulge)
 
     def aim(self, sensor: mi.Sensor):
         """

@@ -37,6 +37,10 @@ class RefineArguments:
     """image.png@azimuth,elevation to match instead of the texture; may be given several times."""
     verify: Switch = False
     """Simulate the thermal stress before, without the stress stage and after; takes minutes."""
+    print_check: Switch = False
+    """Slice the part before and after, look at every bead, and score that; needs --printer fdm-*, takes minutes."""
+    slicer: str = "auto"
+    """For --print-check: auto for the one that is installed, own for ours, or a program."""
     force: Switch = False
     """Replace the run in the folder."""
     resume: Switch = False
@@ -105,6 +109,7 @@ def main(arguments: list[str]) -> int:
             chosen.config,
             out=out,
             verify=chosen.verify,
+            print_check=chosen.slicer if chosen.print_check else False,
             force=chosen.force,
             resume=chosen.resume,
             progress=progress,
@@ -122,6 +127,10 @@ def print_result(metrics: dict, out: Path) -> None:
     print_scores(metrics)
     if stress := tables.stress(metrics):
         print_table("thermal stress by finite elements, MPa", stress)
+    if printed := metrics.get("as_printed"):
+        from genmf_mi.cli.print_check import print_metrics
+
+        print_metrics(printed)
     relief, solid = metrics["relief_mm"], metrics["solid"]
     print(
         f"relief: at most {relief['max']:.2f} mm, mean {relief['mean']:.2f} mm; "

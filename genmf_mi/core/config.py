@@ -65,8 +65,8 @@ class RefineConfig:
     size_mm: float = 100.0
     """Longest side of the printed part."""
     printer: PrinterName = "smooth"
-    """What the part is made with. fdm-*: filament in layers of so many mm, whose shading is then optimised and judged;
-    smooth: castings, and prints that are sanded and primed; resin: layers that cannot be seen."""
+    """What the part is made with. fdm-*: filament in layers of so many mm, which dull slopes, so that the relief works
+    with shadows; smooth: castings, and prints that are sanded and primed; resin: layers that cannot be seen."""
     material: Literal["pla", "petg", "abs", "resin"] = "pla"
     """What the part is printed in, for the stress stage and --verify."""
     max_relief_mm: float = 1.0
@@ -163,6 +163,11 @@ class RefineConfig:
     def stress_stage(self) -> bool:
         """Whether a second stage keeps the predicted stress down."""
         return self.stress and self.stress_weight > 0
+
+    @property
+    def shadows(self) -> bool:
+        """Whether the loss looks at the part under lamps that cast shadows: what layers leave of a relief on a wall."""
+        return PRINTERS[self.printer].layered
 
     @property
     def networks(self) -> tuple[Literal["alex", "vgg"], ...]:

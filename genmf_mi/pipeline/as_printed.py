@@ -33,7 +33,7 @@ from genmf_mi.render.scene import RenderSettings
 
 FINE, SAMPLES = 4, 9
 """Pixels across one of the pictures that are compared, and rays for each of them, under the two lights."""
-FINE_LAMPS, SAMPLES_LAMPS = 2, 16
+FINE_LAMPS, SAMPLES_LAMPS = 2, 25
 """Likewise under the lamps."""
 BLUR = 0.6
 """Standard deviation in pixels of the eye's point spread, which keeps layers from beating with pixels."""

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from genmf_mi.assets.sdf_asset import SdfAsset
+from genmf_mi.core.config import RefineConfig
 from genmf_mi.core.progress import Progress
 from genmf_mi.losses.perceptual import features, lpips
 from genmf_mi.pipeline.evaluator import Evaluator
@@ -65,12 +66,12 @@ def best_displacement(problem: RefinementProblem, evaluator: Evaluator, progress
     return Displacement(heights(problem, amplitude), amplitude)
 
 
-def initial_heights(problem: RefinementProblem, displacement: Displacement, iterations: int) -> np.ndarray:
+def initial_heights(problem: RefinementProblem, displacement: Displacement, config: RefineConfig) -> np.ndarray:
     """``[V]`` heights to start an optimisation from: a share of the displacement, without its low-frequency component.
 
     Shading sees slopes, not heights: a plateau costs the relief that its rim needs, and shows nothing. And offsets that
     start near their bounds stay there, because tanh has no slope; all of the displacement is a worse start than none,
-    unless the iterations are too few to come as far.
+    unless the iterations are too few to come as far. Under lamps with shadows, a steep rim is worth more than a slope.
     """
-    few = isinstance(problem.asset, SdfAsset) or iterations < FEW
-    return (1.0 if few else START) * (displacement.heights - problem.low_pass.of(displacement.heights))
+    whole = isinstance(problem.asset, SdfAsset) or config.iterations < FEW or config.shadows
+    return (1.0 if whole else START) * (displacement.heights - problem.low_pass.of(displacement.heights))

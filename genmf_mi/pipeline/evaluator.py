@@ -53,7 +53,7 @@ class Evaluator:
 
     @torch.no_grad()
     def __post_init__(self) -> None:
-        self.reference.scene.resize(self.scene.resolution)  # iterations may have rendered it smaller
+        self.reference.scene.shade_as(self.scene)  # iterations may have rendered it smaller, and without layers
         target = self.reference.render(self.views, seed=SEED, samples=self.samples)
         _, _, mask = target.geometry
         self.scorer = Scorer(target.grey, mask, self.networks)
@@ -84,7 +84,7 @@ class Evaluator:
 
     def render_colour(self, views: Sequence[View], samples: int = 0) -> np.ndarray:
         """``[B,H,W,3]`` the textured object, see :meth:`Reference.render_colour`; the evaluator's samples if 0."""
-        self.reference.scene.resize(self.scene.resolution)
+        self.reference.scene.shade_as(self.scene)
         return self.reference.render_colour(views, seed=SEED, samples=samples or self.samples)
 
     def align(self, part: Pictured, alignment: Alignment | None = None) -> Tensor:

@@ -26,6 +26,7 @@ from genmf_mi.pipeline import views
 from genmf_mi.pipeline.checkpoint import Checkpoint
 from genmf_mi.pipeline.problem import RefinementProblem
 from genmf_mi.pipeline.run_folder import RunFolder
+from genmf_mi.pipeline.shadows import shadowed
 from genmf_mi.pipeline.stress_stage import StressStage
 from genmf_mi.render import bridge
 from genmf_mi.render.bridge import Buffers
@@ -35,6 +36,8 @@ CHECKPOINT_EVERY = 25
 WARM_UP, COOL_DOWN = 10, 0.4
 """Iterations over which the learning rate grows to its full size, and the share of all iterations over which it falls
 again."""
+RATE_WITH_SHADOWS = 2.0
+"""Factor on the learning rate where shadows are looked at: rims have to move farther than slopes."""
 PATIENCE = 5
 """Iterations in a row without a single finite gradient after which the refinement gives up."""
 
@@ -172,6 +175,10 @@ def step(optimisation: Optimisation) -> dict[str, float]:
     geometry = parameterization.geometry()
     image = bridge.render(problem.training.part, [view], geometry.vertices, geometry.faces, seed=index)
 
+    if config.shadows:
+        scene, mm = problem.training.part, problem.frame.mm_per_unit
+        image, reference = shadowed(image, scene, view, mm), shadowed(reference, scene, view, mm)
+
     terms = objective.terms(image, reference, config.weights, optimisation.alignment, config.grain)
     terms |= objective.with_weight(geometry.terms, config.weights)
     weights, figures = asdict(config.weights), {}
@@ -184,7 +191,7 @@ def step(optimisation: Optimisation) -> dict[str, float]:
     loss.backward()  # pyright: ignore[reportUnknownMemberType]
 
     factors = parameterization.learning_rates(index / config.iterations)
-    rate = config.learning_rate * schedule(index, config.iterations)
+    rate = config.learning_rate * schedule(index, config.iterations) * (RATE_WITH_SHADOWS if config.shadows else 1.0)
     optimiser.rates = [factor * rate for factor in factors]
     optimiser.step()
     if optimiser.nonfinite:

@@ -70,9 +70,9 @@ class ScenePair:
     reference: Reference
 
     def resize(self, resolution: int) -> None:
-        """Render both at ``resolution`` pixels per side from now on."""
+        """Render both at ``resolution`` pixels per side from now on, the object shaded as the part is."""
         self.part.resize(resolution)
-        self.reference.scene.resize(resolution)
+        self.reference.scene.shade_as(self.part)
 
 
 @dataclass(frozen=True)
@@ -205,12 +205,13 @@ def build_scenes(
 
     ply = folder / "part.ply"
     normals = bridge.write_ply(ply, vertices, faces)
-    bulge = PRINTERS[config.printer].visible_bulge
-    optimised = RenderSettings(radius, config.resolution, config.samples, bulge)
+    optimised = RenderSettings(radius, config.resolution, config.samples)
     training = ScenePair(
         scenes.load(xml, ply, **asdict(optimised), silhouettes=config.silhouettes),
         target.build_reference(xml, folder, vertices, faces, normals, albedo, optimised, pictures),
     )
+    # Layers are looked at, and not optimised: on a wall they leave slopes without any gradient
+    bulge = PRINTERS[config.printer].visible_bulge
     scored = RenderSettings(radius, evaluator.RESOLUTION, evaluator.SAMPLES, bulge)
     evaluation = ScenePair(scenes.load(xml, ply, **asdict(scored)), training.reference)
     return InitialSurface(vertices, faces, normals, albedo(vertices, normals)), training, evaluation

@@ -21,7 +21,7 @@ from genmf_mi.assets.asset import Asset
 from genmf_mi.assets.sdf_asset import SdfAsset
 from genmf_mi.core import memory
 from genmf_mi.core.config import RefineConfig
-from genmf_mi.core.errors import ConfigError
+from genmf_mi.core.errors import ConfigError, OutputError, SetupError
 from genmf_mi.core.progress import Progress
 from genmf_mi.core.timer import Timer
 from genmf_mi.losses import lpips_weights
@@ -31,8 +31,9 @@ from genmf_mi.pipeline.displacement import best_displacement, initial_heights
 from genmf_mi.pipeline.evaluator import build_evaluator
 from genmf_mi.pipeline.optimisation import ExtraTerms, Optimisation, iterations, optimise
 from genmf_mi.pipeline.preview import Preview
+from genmf_mi.pipeline.print_check import check_shapes, printer_named
 from genmf_mi.pipeline.problem import build_problem, parameterize
-from genmf_mi.pipeline.results import Outcome, Result, conclude
+from genmf_mi.pipeline.results import Outcome, Result, conclude, shapes_of
 from genmf_mi.pipeline.run_folder import PREVIEW, RunFolder
 from genmf_mi.render import scene_file, variant
 from genmf_mi.stress.report import verification
@@ -50,6 +51,7 @@ def refine(
     scene: str | Path | None = None,
     references: tuple[str, ...] = (),
     verify: bool | Collection[str] = False,
+    print_check: bool | str = False,
     force: bool = False,
     resume: bool = False,
     save_exr: bool = False,
@@ -70,6 +72,8 @@ def refine(
         references: images to match instead of the texture, each ``image.png@azimuth,elevation``.
         verify: simulate the stress of the part ``before``, as it would be without the stress stage
             (``unconstrained``), and ``after``, or of some of these by name; takes minutes.
+        print_check: slice the shapes, and look at and score every bead; a string names the slicer, see
+            :func:`genmf_mi.pipeline.print_check.print_check`. Takes two or three minutes.
         force, resume: replace a run in ``out``, or continue an interrupted one.
         save_exr: also write the image buffers of every shape and view.
         extra_terms: of the loss, see :data:`genmf_mi.pipeline.optimisation.ExtraTerms`. progress: of the run.
@@ -79,6 +83,8 @@ def refine(
     """
     memory.tune_malloc()
     config, progress, timer = config or RefineConfig(), progress or Progress(), Timer()
+    if print_check:
+        printer_named(config.printer)
     if resume and out is None:
         raise ConfigError("there is nothing to resume without an output folder: give --out.")
 
@@ -102,7 +108,7 @@ def refine(
         alignment = replace(evaluator.alignment, kind=config.alignment)
         optimisation = Optimisation(problem, config, parameterization, alignment, stress, extra_terms)
         if config.method == "relief":
-            parameterization.set_heights(initial_heights(problem, displacement, config.iterations))
+            parameterization.set_heights(initial_heights(problem, displacement, config))
             show = Preview(run.path / PREVIEW, evaluator, problem.surface).update if run else None
             interrupted = optimise(optimisation, run, progress, resume=resume, show=show)
             state = parameterization.state()
@@ -120,7 +126,21 @@ def refine(
             problem, config, evaluator, displacement, surface, optimisation.history, interrupted, left_out,
             simulated, unconstrained,
         )  # fmt: skip
+        if print_check and not interrupted:
+            outcome = as_printed(outcome, "auto" if print_check is True else print_check, xml, Path(folder), progress)
+            timer.lap("print")
         return conclude(outcome, run, timer, progress, save_exr=save_exr)
+
+
+def as_printed(outcome: Outcome, slicer: str, xml: Path, folder: Path, progress: Progress) -> Outcome:
+    """With what comes off the printer. A slicer that fails is warned of: the part is there all the same."""
+    shapes = {name: (v.cpu().numpy(), f.cpu().numpy()) for name, (v, f) in shapes_of(outcome).items()}
+    try:
+        check = check_shapes(outcome.problem, shapes, outcome.config.printer, slicer, xml, folder, progress)
+    except (OutputError, SetupError) as error:
+        progress.warn(f"the part was not looked at as printed: {error}")
+        return outcome
+    return replace(outcome, printed=check)
 
 
 def verified(

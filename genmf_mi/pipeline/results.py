@@ -23,6 +23,7 @@ from genmf_mi.geometry.plain_areas import is_plain
 from genmf_mi.mesh.measures import vertex_areas
 from genmf_mi.pipeline.displacement import Displacement
 from genmf_mi.pipeline.evaluator import Evaluator, unseen_views
+from genmf_mi.pipeline.print_check import PICTURE, PrintCheck
 from genmf_mi.pipeline.problem import RefinementProblem
 from genmf_mi.pipeline.run_folder import RunFolder
 from genmf_mi.render import bridge
@@ -59,6 +60,7 @@ class Outcome:
 
     stress_stage_left_out: why there was no stress stage although it was asked for, empty otherwise.
     verification: of the stress, empty if it was not asked for; unconstrained: the surface without the stress stage.
+    printed: what comes off the printer, if that was asked for.
     """
 
     problem: RefinementProblem
@@ -71,6 +73,7 @@ class Outcome:
     stress_stage_left_out: str
     verification: dict[str, Any]
     unconstrained: tuple[np.ndarray, np.ndarray] | None
+    printed: PrintCheck | None = None
 
     @property
     def relief_mm(self) -> np.ndarray:
@@ -187,6 +190,8 @@ def metrics_of(outcome: Outcome, scores: dict[str, Any], part_mm: np.ndarray, rg
     }
     if outcome.verification:
         metrics["stress"] = outcome.verification
+    if outcome.printed:
+        metrics["as_printed"] = outcome.printed.metrics
     if outcome.stress_stage_left_out:
         metrics["stress_stage_left_out"] = outcome.stress_stage_left_out
     return metrics | {"iterations": len(outcome.history), "interrupted": outcome.interrupted}
@@ -241,6 +246,8 @@ def write_pictures(
         for i, view in enumerate(scorer.views)
     ]
     write_before_after(folder / "before_after.png", views, problem.asset.name)
+    if outcome.printed:
+        outcome.printed.write(folder / PICTURE)
     report = Report(
         title=problem.asset.name,
         views=views,
@@ -256,6 +263,8 @@ def write_pictures(
         material=scorer.scene.material,
         steps=problem.report,
         original=surface.foot,
+        as_printed=outcome.printed.rows if outcome.printed else {},
+        as_printed_names=outcome.printed.names if outcome.printed else [],
     )
     write_report(folder / "report.html", report)
     if save_exr:

@@ -23,6 +23,8 @@ SKY = 0.35
 """Share of the light that comes from everywhere, on a surface that faces all of it."""
 BOUNCES = 3
 """Path vertices after the camera: what a surface receives from the lamps, and once from its surroundings."""
+SAMPLER = "multijitter"
+"""Two thirds of the noise of independent samples."""
 _HEIGHT = 64
 """Rows of the picture of the sky."""
 
@@ -46,7 +48,7 @@ class Studio:
                 "type": "perspective", "fov": scene.fov,
                 "film": {"type": "hdrfilm", "width": resolution, "height": resolution, "pixel_format": "luminance",
                          "rfilter": {"type": "box"}},
-                "sampler": {"type": "independent", "sample_count": samples},
+                "sampler": {"type": SAMPLER, "sample_count": samples},
             },
             "part": {
                 "type": "ply", "filename": str(ply),

@@ -67,6 +67,7 @@ class Scene:
     distance: of the camera from the origin, in normalised units. fov: its field of view without any zoom, in degrees.
     resolution: pixels per side of the (square) image.
     lights: direction of each light before any turn, by its key in ``params``.
+    bulge: as in :class:`RenderSettings`.
     moves: counts what invalidates the derivatives of earlier images, see :func:`genmf_mi.render.bridge.render`.
     """
 
@@ -79,6 +80,7 @@ class Scene:
     fov: float
     resolution: int
     lights: dict[str, Float64[ndarray, " 3"]]
+    bulge: float | None = None
     moves: int = 0
 
     @property
@@ -117,6 +119,13 @@ class Scene:
                 self.params[key] = mi.ScalarVector2u(resolution)
             self.params.update()
             self.resolution = resolution
+
+    def shade_as(self, other: Scene) -> None:
+        """Render at the resolution of ``other`` and with its layers, or without as it does, from now on."""
+        self.resize(other.resolution)
+        if other.bulge != self.bulge:
+            self.bsdf.stack(other.bulge)
+            self.bulge = other.bulge
 
     def set_view(self, view: View) -> None:
         """Move the camera to ``view``, zoom and turn the lights."""
@@ -193,6 +202,7 @@ def load(
         distance=float(MARGIN * radius / np.sin(np.radians(fov / 2))),
         fov=fov,
         resolution=int(width),
+        bulge=bulge,
         lights={key: np.ravel(np.array(params[key])).astype(np.float64) for key in light_keys},
     )
 

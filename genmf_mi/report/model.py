@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from PIL.Image import Image
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,7 @@ class Report:
         :attr:`genmf_mi.render.scene.Scene.material`.
     steps: what was done to the mesh before refining, as the ``solid`` block of the metrics reports it.
     original: ``[V,3]``, the shape before refining with the same ``faces``; without it the 3D view cannot compare.
+    as_printed, as_printed_names: rows of pictures of the printed parts by lighting, and what each column shows.
     """
 
     title: str
@@ -80,3 +82,5 @@ class Report:
     material: dict
     steps: dict = field(default_factory=dict)
     original: np.ndarray | None = None
+    as_printed: dict[str, list[Image]] = field(default_factory=dict)
+    as_printed_names: list[str] = field(default_factory=list)

@@ -69,6 +69,7 @@ def render(report: Report) -> str:
         tiles=tiles(report),
         hero=_hero(by_change(report.views)[0]),
         views=[(view.label, _figures(view, report.cap_mm)) for view in report.views],
+        as_printed=[(light, _printed(pictures, report)) for light, pictures in report.as_printed.items()],
         comparisons=comparisons,
         other_metrics=other,
         stress=tables.stress(report.metrics),
@@ -84,6 +85,15 @@ def render(report: Report) -> str:
         gradient=", ".join(RELIEF_COLOURS),
         cap=tables.text(float(report.cap_mm)),
     )
+
+
+def _printed(pictures: list[Image], report: Report) -> list[Figure]:
+    """A row of pictures of the printed parts."""
+    names = report.as_printed_names
+    return [
+        Figure(name, f"{report.title}, {name}", data_uri(picture), *picture.size)
+        for name, picture in zip(names, pictures, strict=True)
+    ]
 
 
 def _hero(view: View) -> list[Figure]:

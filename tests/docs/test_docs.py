@@ -14,6 +14,7 @@ from toys import painted
 import genmf_mi
 from genmf_mi.core import errors
 from genmf_mi.core.config import RefineConfig, Weights
+from genmf_mi.pipeline.print_check import PrintCheck
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([*(ROOT / "docs").glob("*.md"), ROOT / "benchmarks" / "results" / "README.md"])
@@ -53,9 +54,9 @@ def test_modules_and_links_exist(page):
 
 @pytest.mark.usefixtures("small_refinements")
 def test_snippets_run(workplace, two_views, monkeypatch):
-    """In this order, in one namespace; refinements are small ones of a painted egg, and evaluations are not made."""
+    """In this order, in one namespace; refinements are small ones of a painted egg, and evaluations and print checks are not made."""
     painted("bus.ply")
-    real_refine, real_evaluate = genmf_mi.refine, genmf_mi.evaluate
+    real_refine, real_evaluate, real_check = genmf_mi.refine, genmf_mi.evaluate, genmf_mi.print_check
 
     def refine(asset, config=None, **options):
         small = {"iterations": 2, "resolution": 96, "score_vgg": False, "stress": False, "device": "cpu"}
@@ -66,6 +67,12 @@ def test_snippets_run(workplace, two_views, monkeypatch):
         assert Path(refined).is_file()
         return {"before": {"ssim": 0.8}, "after": {"ssim": 0.9}}
 
+    def print_check(part, textured=None, **options):
+        inspect.signature(real_check).bind(part, textured, **options)
+        assert Path(part).is_file()
+        return PrintCheck({"lamps": {"after": {"lpips_alex": 0.2}}}, {}, [])
+
+    monkeypatch.setattr(genmf_mi, "print_check", print_check)
     monkeypatch.setattr(genmf_mi, "refine", refine)
     monkeypatch.setattr(genmf_mi, "evaluate", evaluate)
     namespace: dict[str, object] = {}
