@@ -18,7 +18,8 @@ def print_check(
     json: bool = False,
     quiet: bool = False,
 ) -> int:
-    """Slice a part as a print shop would, look at every bead that can be seen, and say how much is left of the look.
+    """Slice a part as a print shop would, look at every bead that can be seen, and say how much is left of the look,
+    and whether the part can be printed.
 
     Args:
         part: The one-colour part, e.g. refined.3mf.
@@ -59,6 +60,9 @@ def print_metrics(metrics: dict) -> None:
             print_scores({"asset": f"as printed, {title}", **metrics[light]})
     for name, report in metrics["parts"].items():
         print(f"{name}: {', '.join(_words(report))} ({metrics['printer']}, {metrics['slicer']})")
+        print(f"  {report['printability']['verdict']}")
+        for reason in report["printability"]["reasons"]:
+            print(f"  - {reason}")
         for warning in report.get("warnings", ()):
             print(f"  {metrics['slicer']} warns: {warning}")
 
@@ -71,7 +75,7 @@ def _words(report: dict) -> list[str]:
         words.append(f"{grams:.0f} g")
     if supports := report.get("supports_share"):
         words.append(f"{supports:.0%} of it supports")
-    words.append(f"{report['too_thin_share']:.1%} of the outlines too thin for the nozzle")
+    words.append(f"{report['printability']['too_thin_mm2']:.0f} mm² of the outlines too thin for the nozzle")
     return words
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from genmf_mi.core.errors import ConfigError
 from genmf_mi.core.printer import Printer
 from genmf_mi.printing import slicer
+from genmf_mi.printing.printability import printability
 from genmf_mi.printing.slices import Slices
 from genmf_mi.printing.sweep import Triangles, sweep
 from genmf_mi.printing.visible import visible
@@ -26,7 +27,7 @@ class Printed:
 
     triangles: to look at, in the place and the frame of the part (mm, z up). slices: of the part.
     slicer: its name. report: what it says (``print_seconds``, ``grams``, ``supports_share`` of all filament,
-        ``warnings``), and ``layers``, ``triangles``, ``too_thin_share``, ``slicing_seconds`` of ours.
+        ``warnings``), and ``layers``, ``triangles``, ``slicing_seconds`` and ``printability`` of ours.
     """
 
     triangles: Triangles
@@ -57,7 +58,7 @@ def print_part(
     slices = Slices.of(vertices, faces, printer.layer_mm)
     report: dict[str, Any] = {
         "layers": len(slices.outlines),
-        "too_thin_share": slices.too_thin_mm2(printer.smallest_feature_mm) / max(slices.area_mm2, 1e-9),
+        "printability": printability(vertices, faces, slices, printer),
     }
     if program is None:
         triangles = slices.printed(printer)

@@ -54,7 +54,8 @@ def test_modules_and_links_exist(page):
 
 @pytest.mark.usefixtures("small_refinements")
 def test_snippets_run(workplace, two_views, monkeypatch):
-    """In this order, in one namespace; refinements are small ones of a painted egg, and evaluations and print checks are not made."""
+    """In this order, in one namespace; refinements are small ones of a painted egg, evaluations and print checks are
+    not made."""
     painted("bus.ply")
     real_refine, real_evaluate, real_check = genmf_mi.refine, genmf_mi.evaluate, genmf_mi.print_check
 

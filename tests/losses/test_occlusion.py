@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from genmf_mi.losses.occlusion import PENUMBRA, Lamps, lamp, sky, visibility
+from genmf_mi.losses.occlusion import Lamps, lamp, sky, visibility
 
 PIXEL = 0.01
 UP = torch.tensor([0.0, 0.0, 1.0])

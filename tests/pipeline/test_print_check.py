@@ -20,7 +20,6 @@ from genmf_mi.core.frame import Frame
 from genmf_mi.pipeline import as_printed
 from genmf_mi.pipeline.print_check import print_check
 
-
 pytestmark = pytest.mark.usefixtures("small_refinements")
 FILAMENT = replace(CONFIG, printer="fdm-0.2", size_mm=30.0, iterations=3)
 
