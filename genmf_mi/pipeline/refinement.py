@@ -22,19 +22,21 @@ from genmf_mi.assets.sdf_asset import SdfAsset
 from genmf_mi.core import memory
 from genmf_mi.core.config import RefineConfig
 from genmf_mi.core.errors import ConfigError, OutputError, SetupError
+from genmf_mi.core.printer import PRINTERS
 from genmf_mi.core.progress import Progress
 from genmf_mi.core.timer import Timer
 from genmf_mi.losses import lpips_weights
 from genmf_mi.mesh.self_intersections import self_intersections
 from genmf_mi.pipeline import stress_stage
-from genmf_mi.pipeline.displacement import best_displacement, initial_heights
-from genmf_mi.pipeline.evaluator import build_evaluator
+from genmf_mi.pipeline.displacement import Displacement, best_displacement, initial_heights
+from genmf_mi.pipeline.evaluator import Evaluator, build_evaluator
 from genmf_mi.pipeline.optimisation import ExtraTerms, Optimisation, iterations, optimise
 from genmf_mi.pipeline.preview import Preview
 from genmf_mi.pipeline.print_check import check_shapes, printer_named
 from genmf_mi.pipeline.problem import build_problem, parameterize
 from genmf_mi.pipeline.results import Outcome, Result, conclude, shapes_of
 from genmf_mi.pipeline.run_folder import PREVIEW, RunFolder
+from genmf_mi.printing.printed import require_bed
 from genmf_mi.render import scene_file, variant
 from genmf_mi.stress.report import verification
 
@@ -67,15 +69,12 @@ def refine(
         asset: a file, the name of a bundled sample, a loaded :class:`genmf_mi.Asset`, or a shape as a generator holds
             it, :class:`genmf_mi.SdfAsset`, whose signed distance is refined in place of the vertices of a mesh.
         textured: the mesh that has the colours of a generator's file.
-        out: folder for all files; None writes nothing.
-        scene: a scene file; the sample's own or ``default.xml`` if None.
+        out: folder for all files; None writes nothing. scene: the sample's own or ``default.xml`` if None.
         references: images to match instead of the texture, each ``image.png@azimuth,elevation``.
         verify: simulate the stress of the part ``before``, as it would be without the stress stage
             (``unconstrained``), and ``after``, or of some of these by name; takes minutes.
-        print_check: slice the shapes, and look at and score every bead; a string names the slicer, see
-            :func:`genmf_mi.pipeline.print_check.print_check`. Takes two or three minutes.
-        force, resume: replace a run in ``out``, or continue an interrupted one.
-        save_exr: also write the image buffers of every shape and view.
+        print_check: slice the shapes, look at and score every bead; a string names the slicer. Takes minutes.
+        force, resume: replace a run in ``out``, or continue an interrupted one. save_exr: write the image buffers too.
         extra_terms: of the loss, see :data:`genmf_mi.pipeline.optimisation.ExtraTerms`. progress: of the run.
 
     Raises:
@@ -83,10 +82,7 @@ def refine(
     """
     memory.tune_malloc()
     config, progress, timer = config or RefineConfig(), progress or Progress(), Timer()
-    if print_check:
-        printer_named(config.printer)
-    if resume and out is None:
-        raise ConfigError("there is nothing to resume without an output folder: give --out.")
+    _require(config, out, resume=resume, print_check=bool(print_check))
 
     progress.stage("loading")
     asset = sources.load(asset, textured)
@@ -98,6 +94,7 @@ def refine(
 
     with tempfile.TemporaryDirectory(prefix="genmf-") as folder:
         problem = build_problem(asset, config, xml, Path(folder), references=references, progress=progress, timer=timer)
+        require_bed(problem.frame.to_print(problem.surface.vertices), PRINTERS[config.printer])
         progress.stage("rendering the references")
         evaluator = build_evaluator(problem.evaluation.reference, problem.evaluation.part, config.networks)
         displacement = best_displacement(problem, evaluator, progress)
@@ -107,13 +104,7 @@ def refine(
         stress, left_out = stress_stage.plan(problem, config, device, progress)
         alignment = replace(evaluator.alignment, kind=config.alignment)
         optimisation = Optimisation(problem, config, parameterization, alignment, stress, extra_terms)
-        if config.method == "relief":
-            parameterization.set_heights(initial_heights(problem, displacement, config))
-            show = Preview(run.path / PREVIEW, evaluator, problem.surface).update if run else None
-            interrupted = optimise(optimisation, run, progress, resume=resume, show=show)
-            state = parameterization.state()
-        else:
-            interrupted, state = False, parameterization.displaced(displacement.heights)
+        interrupted, state = refined(optimisation, displacement, evaluator, run, progress, resume=resume)
         timer.lap("optimise")
 
         names = () if interrupted or not verify else SHAPES if verify is True else tuple(verify)
@@ -127,13 +118,42 @@ def refine(
             simulated, unconstrained,
         )  # fmt: skip
         if print_check and not interrupted:
-            outcome = as_printed(outcome, "auto" if print_check is True else print_check, xml, Path(folder), progress)
+            outcome = as_printed(outcome, print_check, xml, Path(folder), progress)
             timer.lap("print")
         return conclude(outcome, run, timer, progress, save_exr=save_exr)
 
 
-def as_printed(outcome: Outcome, slicer: str, xml: Path, folder: Path, progress: Progress) -> Outcome:
+def _require(config: RefineConfig, out: str | Path | None, *, resume: bool, print_check: bool) -> None:
+    """Raise :class:`ConfigError` for what cannot be done, before anything is computed."""
+    if print_check:
+        printer_named(config.printer)
+    if resume and out is None:
+        raise ConfigError("there is nothing to resume without an output folder: give --out.")
+
+
+def refined(
+    optimisation: Optimisation,
+    displacement: Displacement,
+    evaluator: Evaluator,
+    run: RunFolder | None,
+    progress: Progress,
+    *,
+    resume: bool,
+) -> tuple[bool, Any]:
+    """Start from the displacement and make all iterations, or only displace. Returns whether that was interrupted, and
+    the state of the parameterization."""
+    problem, config, parameterization = optimisation.problem, optimisation.config, optimisation.parameterization
+    if config.method == "displacement":
+        return False, parameterization.displaced(displacement.heights)
+    parameterization.set_heights(initial_heights(problem, displacement, config))
+    show = Preview(run.path / PREVIEW, evaluator, problem.surface).update if run else None
+    interrupted = optimise(optimisation, run, progress, resume=resume, show=show)
+    return interrupted, parameterization.state()
+
+
+def as_printed(outcome: Outcome, slicer: str | bool, xml: Path, folder: Path, progress: Progress) -> Outcome:
     """With what comes off the printer. A slicer that fails is warned of: the part is there all the same."""
+    slicer = slicer if isinstance(slicer, str) else "auto"
     shapes = {name: (v.cpu().numpy(), f.cpu().numpy()) for name, (v, f) in shapes_of(outcome).items()}
     try:
         check = check_shapes(outcome.problem, shapes, outcome.config.printer, slicer, xml, folder, progress)

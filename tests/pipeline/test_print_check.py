@@ -97,6 +97,10 @@ class TestRefine:
         with pytest.raises(ConfigError, match=r"choose one of fdm-0\.2"):
             genmf_mi.refine(toy, replace(FILAMENT, printer="smooth"), print_check=True)
 
+    def test_larger_than_the_printer(self, toy):
+        with pytest.raises(ConfigError, match=r"larger than what the printer holds \(143 × 89 × 175 mm\)"):
+            genmf_mi.refine(toy, replace(FILAMENT, printer="resin", size_mm=150.0))
+
     def test_shadows_are_for_filament(self):
         assert FILAMENT.shadows and not replace(FILAMENT, printer="resin").shadows and not CONFIG.shadows
 
