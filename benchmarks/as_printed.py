@@ -23,14 +23,17 @@ from benchmarks.runs import refined
 from genmf_mi.assets.asset import load
 from genmf_mi.core.config import PRESETS
 from genmf_mi.core.progress import Progress
+from genmf_mi.pipeline.as_printed import LAMPS, TWO_LIGHTS
 from genmf_mi.pipeline.displacement import best_displacement
 from genmf_mi.pipeline.evaluator import build_evaluator
+from genmf_mi.pipeline.print_check import LIGHTS as LIGHTS_SHOWN
 from genmf_mi.pipeline.print_check import check_shapes
 from genmf_mi.pipeline.problem import build_problem
 from genmf_mi.render import scene_file, variant
+from genmf_mi.report.pictures import write_row
 
 PRINTER = "fdm-0.2"
-LIGHTS = ("two_lights", "lamps")
+LIGHTS = (TWO_LIGHTS, LAMPS)
 SHAPES = ("before", "displacement", "smooth", "printer")
 SCORES = ("lpips_alex", "ssim", "g_ssim")
 PICTURE = Path(__file__).parents[1] / "docs" / "as_printed.jpg"
@@ -52,7 +55,7 @@ def main(inputs: Inputs, *, slicer: str = "own") -> None:
         if failed or refined(path, printer, "--no-stress", "--printer", PRINTER) is None:
             continue
         verdict, picture = printer / f"gate_{slicer}.json", printer / f"gate_{slicer}.png"
-        if not verdict.exists():
+        if not (verdict.exists() and picture.exists()):
             verdict.write_text(json.dumps(printed(path, smooth, printer, slicer, picture), indent=1))
         rows[path.stem] = json.loads(verdict.read_text())
         strips.append(Image.open(picture).convert("RGB"))
@@ -66,7 +69,7 @@ def main(inputs: Inputs, *, slicer: str = "own") -> None:
 
 
 def printed(path: Path, smooth: Path, printer: Path, slicer: str, picture: Path) -> dict:
-    """Scores of one asset by lighting and shape, and what its printing takes; its picture is written."""
+    """Scores of one asset by lighting and shape, and what its printing takes; its picture under lamps is written."""
     config = replace(PRESETS["default"], stress=False)
     with tempfile.TemporaryDirectory(prefix="genmf-") as folder:
         asset = load(path)
@@ -82,7 +85,8 @@ def printed(path: Path, smooth: Path, printer: Path, slicer: str, picture: Path)
             part = trimesh.load_mesh(run / "refined.glb", process=False)
             shapes[name] = problem.frame.normalise(np.asarray(part.vertices)), np.array(part.faces)
         check = check_shapes(problem, shapes, PRINTER, slicer, xml, Path(folder), Progress())
-    check.write(picture)
+    names = ("painted", "printed as it is", "best displacement", "refined, --printer smooth", f"--printer {PRINTER}")
+    write_row(picture, check.rows[LIGHTS_SHOWN[LAMPS]], names)
     scores = {
         light: {
             **{shape: {k: round(check.metrics[light][shape][k], 4) for k in SCORES} for shape in SHAPES},

@@ -32,7 +32,7 @@ PICTURE = "as_printed.png"
 Shapes = Mapping[str, tuple[np.ndarray, np.ndarray]]
 """By name: vertices ``[V,3]`` in the normalised frame and faces ``[F,3]``."""
 LIGHTS = {TWO_LIGHTS: "in even light", LAMPS: "under lamps, with shadows"}
-NAMES = {"before": "printed as it is", "displacement": "displacement, printed", "after": "refined, printed"}
+NAMES = {"before": "printed as it is", "displacement": "best displacement", "after": "refined"}
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,10 @@ def check_shapes(
     painted = {light: parts["before"].pictures[light + PAINTED] for light in LIGHTS}
     index = Scorer(painted[TWO_LIGHTS].grey, painted[TWO_LIGHTS].coverage, ()).most_telling
     rows = {
-        label: [_shown(painted[light], index), *(_shown(part.pictures[light], index) for part in parts.values())]
+        label: [
+            _shown(pictures, index, _exposure(parts["before"], light))
+            for pictures in (painted[light], *(part.pictures[light] for part in parts.values()))
+        ]
         for light, label in LIGHTS.items()
     }
     return PrintCheck(metrics, rows, ["painted", *(NAMES.get(name, name) for name in parts)])
@@ -129,7 +132,10 @@ def print_check(
             radius = float(np.linalg.norm(vertices, axis=1).max())
             gate = PrintGate(frame, radius, chosen, program, xml, Path(folder), progress)
             parts = {"part": gate.look("part", vertices, faces)}
-            rows = {label: [_shown(parts["part"].pictures[light], 0)] for light, label in LIGHTS.items()}
+            rows = {
+                label: [_shown(parts["part"].pictures[light], 0, _exposure(parts["part"], light))]
+                for light, label in LIGHTS.items()
+            }
             return PrintCheck(_said(parts, printer), rows, ["as printed"])
         lpips_weights.require("alex")
         asset = textured if isinstance(textured, Asset) else load(samples.resolve(textured))
@@ -146,6 +152,11 @@ def _said(parts: Mapping[str, PrintedViews], printer: str) -> dict[str, Any]:
     return {"printer": printer, "slicer": slicer, "parts": {name: part.printed.report for name, part in parts.items()}}
 
 
-def _shown(pictures: Pictures, index: int) -> Image:
+def _exposure(part: PrintedViews, light: str) -> float:
+    """By how much a picture in ``light`` is brightened, so that the part is as bright in it as in even light."""
+    return float(part.pictures[TWO_LIGHTS].grey.sum() / part.pictures[light].grey.sum().clamp_min(1e-6))
+
+
+def _shown(pictures: Pictures, index: int, exposure: float) -> Image:
     grey, coverage = (x[index, 0].cpu().numpy() for x in (pictures.grey, pictures.coverage))
-    return compose(plastic(grey), coverage)
+    return compose(plastic(exposure * grey), coverage)
