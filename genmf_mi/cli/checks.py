@@ -50,6 +50,7 @@ def examine() -> list[Check]:
         check_disk(Path.cwd(), "Output folder"),
         check_disk(Path(tempfile.gettempdir()), "Temporary folder"),
         check_kernel_cache(),
+        check_slicer(),
     ]
 
 
@@ -137,6 +138,18 @@ def check_kernel_cache() -> Check:
         return Check("Kernel cache", "ok", detail)
     advice = "Free some space, or point DRJIT_CACHE_DIR to another folder, or every run compiles its kernels anew."
     return Check("Kernel cache", "optional", f"cannot be written: {detail}", advice)
+
+
+def check_slicer() -> Check:
+    """Whether parts can be sliced as a print shop would. `genmf-mi print-check` has a simpler slicer of its own."""
+    try:
+        from genmf_mi.printing import slicer
+    except ImportError as error:
+        return Check("Slicer", "optional", f"not examined: {error}", "Fix what is listed above first.")
+    program = slicer.find()
+    if program is None:
+        return Check("Slicer", "optional", "none, so print-check uses its own", slicer.INSTALL)
+    return Check("Slicer", "ok", str(program))
 
 
 def probe() -> None:

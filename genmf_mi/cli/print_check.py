@@ -22,7 +22,7 @@ def print_check(
     and whether the part can be printed.
 
     Args:
-        part: The one-colour part, e.g. refined.3mf.
+        part: The one-colour part, e.g. refined.3mf, or the folder of a run.
         textured: The textured asset that it should look like; without it nothing is scored.
         printer: fdm-0.2, fdm-0.12 or fdm-0.08: filament in layers of so many mm.
         slicer: auto for the one that is installed, own for a simpler one of ours, or a program (PrusaSlicer).
@@ -39,7 +39,7 @@ def print_check(
         check = checks.print_check(
             part, textured, printer=printer, slicer=slicer, size_mm=size_mm, scene=scene, progress=progress
         )
-        picture = out or Path(part).parent / checks.PICTURE
+        picture = out or checks.print_file(part).parent / checks.PICTURE
         check.write(picture)
     if json:
         from json import dumps

@@ -18,6 +18,7 @@ from genmf_mi.core.errors import ConfigError
 from genmf_mi.core.frame import Frame
 from genmf_mi.core.printer import PRINTERS, Printer
 from genmf_mi.core.progress import Progress
+from genmf_mi.fabrication.files import PRINT_3MF
 from genmf_mi.losses import lpips_weights
 from genmf_mi.mesh import topology
 from genmf_mi.pipeline.as_printed import LAMPS, PAINTED, TWO_LIGHTS, Pictures, PrintedViews, PrintGate, paint_of, scores
@@ -60,6 +61,11 @@ def printer_named(name: str) -> Printer:
         layered = ", ".join(key for key, value in PRINTERS.items() if value.layered)
         raise ConfigError(f"there is nothing to look at before printing with {name}: choose one of {layered}.")
     return printer
+
+
+def print_file(part: str | Path) -> Path:
+    """The print file of a run's folder, or the file itself."""
+    return Path(part) / PRINT_3MF if Path(part).is_dir() else Path(part)
 
 
 def check_shapes(
@@ -109,7 +115,8 @@ def print_check(
     """Slice a part, look at every bead, and score the look against the textured asset.
 
     Args:
-        part: a closed one-colour shape, in the pose of the textured asset; print files are turned upright.
+        part: a closed one-colour shape, in the pose of the textured asset, or the folder of a run; print files are
+            turned upright.
         textured: what it should look like; None only slices and looks.
         printer: one of :data:`genmf_mi.core.printer.PRINTERS` that works in layers.
         slicer: ``auto`` for the one that is installed, ``own`` for ours, or a program.
@@ -122,7 +129,7 @@ def print_check(
     variant.use("auto")
     progress = progress or Progress()
     chosen, program = printer_named(printer), slicers.find(slicer) if slicer != "own" else None
-    shape = part if isinstance(part, Asset) else load(samples.resolve(part))
+    shape = part if isinstance(part, Asset) else load(samples.resolve(print_file(part)))
     vertices, faces = topology.weld(shape.vertices, shape.faces, WELD * np.ptp(shape.vertices, axis=0).max())
     frame = Frame.of(vertices, size_mm)
     vertices = frame.normalise(vertices)

@@ -170,3 +170,12 @@ sys.exit(main.main(["doctor", "--json"]))
     assert [name for name, status in report.items() if status == "missing"] == [
         "Mitsuba", "Dr.Jit", "PyTorch", "PyMeshLab", "Rendering", "LPIPS weights"]  # fmt: skip
     assert "skfem" not in process.stdout.lower() and "scikit-fem" not in process.stdout.lower()
+
+
+def test_slicer(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert checks.check_slicer().status == "optional" and "prusa-slicer" in checks.check_slicer().fix
+    program = tmp_path / "prusa-slicer"
+    program.write_text("#!/bin/sh\n")
+    program.chmod(0o755)
+    assert checks.check_slicer().status == "ok" and checks.check_slicer().detail == str(program)

@@ -82,6 +82,11 @@ class TestRefine:
         assert printed["lamps"]["after"]["lpips_alex"] == result.metrics["as_printed"]["lamps"]["after"]["lpips_alex"]
         assert (out / "as_printed.png").exists()
         assert "As printed" in (out / "report.html").read_text(encoding="utf-8")
+        again = print_check(out, slicer="own", size_mm=30, scene=two_views).metrics["parts"]["part"]
+        # Print files are rounded
+        assert again["printability"]["first_layer_mm2"] == pytest.approx(
+            printed["parts"]["after"]["printability"]["first_layer_mm2"], rel=0.01
+        )
 
     def test_a_slicer_that_fails_takes_nothing_with_it(self, toy, two_views, tmp_path):
         program = tmp_path / "prusa-slicer"
