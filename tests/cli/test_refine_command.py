@@ -52,7 +52,8 @@ class TestSettings:
         asset, config, options = chosen("bus.glb")
         assert (asset, config) == ("bus.glb", RefineConfig())
         assert options == {"out": Path("runs/bus"), "textured": None, "scene": None, "references": (),
-                           "verify": False, "force": False, "resume": False, "save_exr": False}  # fmt: skip
+                           "verify": False, "print_check": False, "force": False, "resume": False,
+                           "save_exr": False}  # fmt: skip
 
     @pytest.mark.parametrize("preset", PRESETS)
     @pytest.mark.parametrize("form", ["--preset {}", "--preset={}"])
@@ -84,11 +85,13 @@ class TestSettings:
     def test_everything_else(self, chosen):
         _, _, options = chosen("bus.npz", "--textured", "bus.glb", "--out", "here", "--scene", "my.xml", "--reference",
                                "a.png@0,10",
-                               "--reference", "b.png@-90,5", "--verify", "--force", "--save-exr",
+                               "--reference", "b.png@-90,5", "--verify", "--print-check", "--slicer", "own",
+                               "--force", "--save-exr",
                                "--quiet")  # fmt: skip
         assert options == {"out": Path("here"), "scene": Path("my.xml"), "force": True, "resume": False,
                            "textured": Path("bus.glb"),
-                           "references": ("a.png@0,10", "b.png@-90,5"), "verify": True, "save_exr": True}  # fmt: skip
+                           "references": ("a.png@0,10", "b.png@-90,5"), "verify": True, "print_check": "own",
+                           "save_exr": True}  # fmt: skip
         assert chosen("bus.glb", "--resume")[2]["resume"]
 
     @pytest.mark.parametrize(
