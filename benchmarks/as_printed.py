@@ -14,12 +14,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import trimesh
 from PIL import Image
 
 from benchmarks import record
 from benchmarks.inputs import EIGHT_ASSETS, Inputs
-from benchmarks.runs import refined
+from benchmarks.runs import refined, refined_shape
 from genmf_mi.assets.asset import load
 from genmf_mi.core.config import PRESETS
 from genmf_mi.core.progress import Progress
@@ -61,11 +60,7 @@ def main(inputs: Inputs, *, slicer: str = "own") -> None:
         strips.append(Image.open(picture).convert("RGB"))
         print(path.stem, rows[path.stem], flush=True)
     record.write("as_printed", {"slicer": slicer, "assets": rows, "summary": summary(rows)})
-    width = max(strip.width for strip in strips)
-    sheet = Image.new("RGB", (width, sum(strip.height for strip in strips)), "white")
-    for strip, top in zip(strips, np.cumsum([0, *(strip.height for strip in strips)]), strict=False):
-        sheet.paste(strip, (0, int(top)))
-    sheet.save(PICTURE, quality=85)
+    record.write_sheet(PICTURE, strips)
 
 
 def printed(path: Path, smooth: Path, printer: Path, slicer: str, picture: Path) -> dict:
@@ -80,10 +75,9 @@ def printed(path: Path, smooth: Path, printer: Path, slicer: str, picture: Path)
         shapes = {
             "before": (surface.vertices, surface.faces),
             "displacement": (surface.vertices + best[:, None] * surface.normals, surface.faces),
+            "smooth": refined_shape(smooth, problem.frame),
+            "printer": refined_shape(printer, problem.frame),
         }
-        for name, run in (("smooth", smooth), ("printer", printer)):
-            part = trimesh.load_mesh(run / "refined.glb", process=False)
-            shapes[name] = problem.frame.normalise(np.asarray(part.vertices)), np.array(part.faces)
         check = check_shapes(problem, shapes, PRINTER, slicer, xml, Path(folder), Progress())
     names = ("painted", "printed as it is", "best displacement", "refined, --printer smooth", f"--printer {PRINTER}")
     write_row(picture, check.rows[LIGHTS_SHOWN[LAMPS]], names)

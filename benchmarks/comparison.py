@@ -16,12 +16,11 @@ from pathlib import Path
 
 import numpy as np
 import torch
-import trimesh
 from PIL import Image
 
 from benchmarks import record
 from benchmarks.inputs import EIGHT_ASSETS, Inputs
-from benchmarks.runs import refined
+from benchmarks.runs import refined, refined_shape
 from genmf_mi.assets.asset import load
 from genmf_mi.core.config import PRESETS
 from genmf_mi.core.progress import Progress
@@ -67,10 +66,7 @@ def main(inputs: Inputs) -> None:
         for method in METHODS[1:]
     }
     record.write("comparison", {"assets": rows, "mean_lpips_fall": falls})
-    sheet = Image.new("RGB", (strips[0].width, sum(strip.height for strip in strips)))
-    for strip, top in zip(strips, np.cumsum([0, *(strip.height for strip in strips)]), strict=False):
-        sheet.paste(strip, (0, int(top)))
-    sheet.save(PICTURE, quality=85)
+    record.write_sheet(PICTURE, strips)
 
 
 def shapes(
@@ -80,10 +76,9 @@ def shapes(
     surface = problem.surface
     best = best_displacement(problem, evaluator, Progress()).heights
     tools = surface.brightness * problem.loose_bounds.outward
-    part = trimesh.load_mesh(folder / "refined.glb", process=False)
     made = {name: (surface.vertices + height[:, None] * surface.normals, surface.faces)
             for name, height in (("before", 0 * best), ("tools", tools), ("displacement", best))}  # fmt: skip
-    made["refined"] = problem.frame.normalise(np.asarray(part.vertices)), np.asarray(part.faces)
+    made["refined"] = refined_shape(folder, problem.frame)
     return {
         name: (torch.as_tensor(v, dtype=torch.float32, device=evaluator.device),
                torch.as_tensor(np.array(f), device=evaluator.device))

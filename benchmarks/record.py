@@ -10,11 +10,17 @@ import json
 import os
 import platform
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from genmf_mi.core.files import write_text
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 FOLDER = Path(__file__).parent / "results"
 
@@ -32,6 +38,17 @@ def write_verification(name: str, results: dict | list) -> None:
     entries = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     write_text(path, json.dumps(entries | {name: results}, indent=1) + "\n")
     print(f"written to {path}, {name}")
+
+
+def write_sheet(path: Path, strips: Sequence[Image]) -> None:
+    """One picture of several, one below the other, for the documentation."""
+    from PIL import Image
+
+    tops = np.cumsum([0, *(strip.height for strip in strips)])
+    sheet = Image.new("RGB", (max(strip.width for strip in strips), int(tops[-1])), "white")
+    for strip, top in zip(strips, tops, strict=False):
+        sheet.paste(strip, (0, int(top)))
+    sheet.save(path, quality=85)
 
 
 def machine() -> dict:

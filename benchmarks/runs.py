@@ -7,6 +7,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
+import trimesh
+
+from genmf_mi.core.frame import Frame
 from genmf_mi.pipeline.run_folder import CHECKPOINT, METRICS
 
 
@@ -24,3 +28,9 @@ def refined(source: Path, folder: Path, *arguments: str | Path) -> dict | None:
         subprocess.run([str(part) for part in command], check=False)
     complete = path.exists() and not (folder / CHECKPOINT).exists()
     return json.loads(path.read_text(encoding="utf-8")) if complete else None
+
+
+def refined_shape(folder: Path, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices ``[V,3]`` in the normalised frame, and faces ``[F,3]``, of the refinement in ``folder``."""
+    part = trimesh.load_mesh(folder / "refined.glb", process=False)
+    return frame.normalise(np.asarray(part.vertices)), np.array(part.faces)

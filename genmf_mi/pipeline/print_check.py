@@ -81,7 +81,7 @@ def check_shapes(
 
     folder: for passing files.
     """
-    program = slicers.find(slicer) if slicer != "own" else None
+    program = slicers.find(slicer)
     if program is None and slicer == "auto":
         progress.warn(f"there is no slicer on this machine, so a simpler one of our own is used. {slicers.INSTALL}")
     radius = float(np.linalg.norm(problem.surface.vertices, axis=1).max())
@@ -128,7 +128,7 @@ def print_check(
     """
     variant.use("auto")
     progress = progress or Progress()
-    chosen, program = printer_named(printer), slicers.find(slicer) if slicer != "own" else None
+    chosen, program = printer_named(printer), slicers.find(slicer)
     shape = part if isinstance(part, Asset) else load(samples.resolve(print_file(part)))
     vertices, faces = topology.weld(shape.vertices, shape.faces, WELD * np.ptp(shape.vertices, axis=0).max())
     frame = Frame.of(vertices, size_mm)

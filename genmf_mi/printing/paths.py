@@ -31,11 +31,3 @@ class Bead:
     def bottom(self) -> float:
         """Height of the lower side above the bed."""
         return self.top - self.height
-
-
-def by_layer(beads: list[Bead]) -> dict[float, list[Bead]]:
-    """The beads of each layer, from below to above, by the height of its upper side in mm."""
-    layers: dict[float, list[Bead]] = {}
-    for bead in sorted(beads, key=lambda b: b.top):
-        layers.setdefault(round(bead.top, 3), []).append(bead)
-    return layers

@@ -17,21 +17,17 @@ from genmf_mi.printing.slices import Slices
 from genmf_mi.printing.sweep import Triangles, sweep
 from genmf_mi.printing.visible import visible
 
-OWN = "own"
-"""Name of :mod:`genmf_mi.printing.slices` among the slicers."""
-
 
 @dataclass(frozen=True)
 class Printed:
     """What comes off the printer.
 
-    triangles: to look at, in the place and the frame of the part (mm, z up). slices: of the part.
+    triangles: to look at, in the place and the frame of the part (mm, z up).
     slicer: its name. report: what it says (``print_seconds``, ``grams``, ``supports_share`` of all filament,
         ``warnings``), and ``layers``, ``triangles``, ``slicing_seconds`` and ``printability`` of ours.
     """
 
     triangles: Triangles
-    slices: Slices
     slicer: str
     report: dict[str, Any] = field(default_factory=dict[str, Any])
 
@@ -66,7 +62,7 @@ def print_part(
         triangles, said = _by_slicer(vertices, faces, printer, program, folder / f"{name}.stl", slices)
         report |= said
     report |= {"triangles": len(triangles.faces), "slicing_seconds": round(time.perf_counter() - start, 1)}
-    return Printed(triangles, slices, program.name if program else OWN, report)
+    return Printed(triangles, program.name if program else slicer.OWN, report)
 
 
 def require_bed(vertices: np.ndarray, printer: Printer) -> None:

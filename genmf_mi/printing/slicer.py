@@ -14,6 +14,8 @@ from genmf_mi.printing import gcode
 
 PROGRAMS = "prusa-slicer", "PrusaSlicer", "prusa-slicer-console", "superslicer"
 """Slicers with one and the same command line, in the order in which they are sought."""
+OWN = "own"
+"""Name of :mod:`genmf_mi.printing.slices` among the slicers."""
 INSTALL = "Install PrusaSlicer (Debian: apt install prusa-slicer), name its program, or use --slicer own."
 TIMEOUT = 600.0
 """Seconds."""
@@ -29,11 +31,14 @@ class Sliced:
 
 
 def find(name: str = "auto") -> Path | None:
-    """The slicer's program: ``auto`` for the first that is installed, None if there is none; or a name or a path.
+    """The slicer's program: ``auto`` for the first that is installed, or a name or a path; None for our own, which is
+    also what ``auto`` falls back to.
 
     Raises:
         SetupError: the program that was named is not there.
     """
+    if name == OWN:
+        return None
     for program in PROGRAMS if name == "auto" else (name,):
         if path := shutil.which(program):
             return Path(path)

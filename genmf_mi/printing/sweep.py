@@ -7,7 +7,7 @@ round ends). Neighbouring beads overlap, which does no harm to a picture: the fi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -84,7 +84,7 @@ def _without_repetition(bead: Bead) -> Bead:
         keep[np.flatnonzero(keep)[-1]] = False
     if keep.all():
         return bead
-    return Bead(bead.points[keep], bead.width[keep], bead.top, bead.height, bead.role, bead.closed)
+    return replace(bead, points=bead.points[keep], width=bead.width[keep])
 
 
 def _cross_sections(

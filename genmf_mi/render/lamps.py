@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Float32
@@ -14,8 +13,9 @@ from numpy import ndarray
 from torch import Tensor
 
 from genmf_mi.render import variant
-from genmf_mi.render.scene import Scene, View, camera_to_world, rotation
+from genmf_mi.render.scene import Scene
 from genmf_mi.render.untyped import MitsubaObject, MitsubaScene, mi
+from genmf_mi.render.view import View, camera_to_world, image_axes, light_rotation
 
 RADIUS = np.radians(12.0)
 """Of the disc that a lamp covers in the sky."""
@@ -38,12 +38,11 @@ class Studio:
     """
 
     def __init__(self, scene: Scene, ply: str | Path, resolution: int, samples: int) -> None:
-        material = scene.material
         self._distance, self._samples = scene.distance, samples
         self._scene: MitsubaScene = mi.load_dict({
             "type": "scene",
             "integrator": {"type": "path", "max_depth": BOUNCES, "hide_emitters": True},
-            "sky": {"type": "envmap", "bitmap": mi.Bitmap(_sky(scene, material))},
+            "sky": {"type": "envmap", "bitmap": mi.Bitmap(_sky(scene))},
             "sensor": {
                 "type": "perspective", "fov": scene.fov,
                 "film": {"type": "hdrfilm", "width": resolution, "height": resolution, "pixel_format": "luminance",
@@ -52,7 +51,7 @@ class Studio:
             },
             "part": {
                 "type": "ply", "filename": str(ply),
-                "bsdf": {"type": "diffuse", "reflectance": {"type": "uniform", "value": material["albedo"]}},
+                "bsdf": {"type": "diffuse", "reflectance": {"type": "uniform", "value": scene.material["albedo"]}},
             },
         })  # fmt: skip
         self._params: MitsubaObject = mi.traverse(self._scene)
@@ -61,8 +60,7 @@ class Studio:
         """Grey values ``[1,1,H,W]``, linear, weighted by the coverage."""
         pose, turn = camera_to_world(view, self._distance), np.eye(4)
         # The sky is given in the frame of the lights: x to the right, y up, z towards the viewer
-        turned = rotation("y", view.light_turn[0]) @ rotation("x", view.light_turn[1])
-        turn[:3, :3] = pose[:3, :3] @ np.diag([-1.0, 1.0, -1.0]) @ turned
+        turn[:3, :3] = image_axes(view) @ light_rotation(view)
         self._params[variant.camera_pose_key("sensor")] = mi.Transform4f(pose)
         self._params["sky.to_world"] = mi.Transform4f(turn)
         self._params.update()
@@ -70,15 +68,15 @@ class Studio:
         return image.permute(2, 0, 1)[None, :1]
 
 
-def _sky(scene: Scene, material: dict[str, Any]) -> Float32[ndarray, "H W 3"]:
+def _sky(scene: Scene) -> Float32[ndarray, "H W 3"]:
     """Radiance by direction, so that a surface that faces the key light alone gets about its weight."""
     # Mitsuba: u = atan2(x, -z) / 2π, v = acos(y) / π
     rows, columns = (np.arange(_HEIGHT) + 0.5) / _HEIGHT, (np.arange(2 * _HEIGHT) + 0.5) / (2 * _HEIGHT)
     polar, around = np.meshgrid(rows * np.pi, columns * 2 * np.pi, indexing="ij")
     towards = np.stack([np.sin(polar) * np.sin(around), np.cos(polar), -np.sin(polar) * np.cos(around)], axis=-1)
     radiance = np.full(towards.shape[:2], SKY / np.pi)
-    for key, direction in scene.lights.items():
-        weight = material["key_weight" if key.endswith("key") else "fill_weight"]
+    for key, weight in scene.light_weights.items():
+        direction = scene.lights[key]
         inside = towards @ (direction / np.linalg.norm(direction)) > np.cos(RADIUS)
         solid_angle = float((np.sin(polar) * inside).sum() * np.pi / _HEIGHT * np.pi / _HEIGHT)
         radiance += np.where(inside, (1 - SKY) * weight / max(solid_angle, 1e-6), 0)

@@ -20,7 +20,7 @@ from genmf_mi.core.errors import SceneError
 from genmf_mi.render import variant
 from genmf_mi.render.scene_file import GRID, MESH, START, bundled_folder, find, one_line, read_defaults, standalone_xml
 from genmf_mi.render.untyped import MitsubaObject, MitsubaScene, mi
-from genmf_mi.render.view import View, camera_to_world, rotation
+from genmf_mi.render.view import View, camera_to_world, light_rotation
 
 __all__ = [
     "GRID",
@@ -108,6 +108,11 @@ class Scene:
         }
 
     @property
+    def light_weights(self) -> dict[str, float]:
+        """The weight of each light, by its key in ``lights``."""
+        return {key: float(np.ravel(getattr(self.bsdf, f"{key.rpartition('.')[2]}_weight"))[0]) for key in self.lights}
+
+    @property
     def half_width(self) -> float:
         """Of the whole image at unit distance."""
         return float(np.tan(np.radians(self.fov / 2)))
@@ -134,7 +139,7 @@ class Scene:
         self.params[variant.fov_key(self.sensor_id)] = 2 * np.degrees(np.arctan(self.half_width / view.zoom))
         for key, share in zip(variant.principal_point_keys(self.sensor_id), view.centre, strict=True):
             self.params[key] = share * view.zoom
-        turn = rotation("y", view.light_turn[0]) @ rotation("x", view.light_turn[1])
+        turn = light_rotation(view)
         for key, direction in self.lights.items():
             self.params[key] = mi.Vector3f(turn @ direction)
         self.params.update()

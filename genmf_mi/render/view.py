@@ -45,6 +45,17 @@ class View:
         return f"azimuth {self.azimuth:g}°, elevation {self.elevation:g}°"
 
 
+def light_rotation(view: View) -> Float64[ndarray, "3 3"]:
+    """By how the lights of a view are turned."""
+    return rotation("y", view.light_turn[0]) @ rotation("x", view.light_turn[1])
+
+
+def image_axes(view: View) -> Float64[ndarray, "3 3"]:
+    """The columns right, up, and towards the viewer of the image, in the world."""
+    # Mitsuba's camera has x to the left and looks along z
+    return camera_to_world(view, 1.0)[:3, :3] * [-1.0, 1.0, -1.0]
+
+
 def camera_to_world(view: View, distance: float) -> Float64[ndarray, "4 4"]:
     """Camera-to-world matrix of a camera at ``distance`` from the origin, which it faces.
 

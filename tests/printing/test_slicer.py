@@ -13,7 +13,7 @@ from test_gcode import PRUSA
 from genmf_mi.core.errors import ConfigError, OutputError, SetupError
 from genmf_mi.core.printer import PRINTERS
 from genmf_mi.printing import slicer
-from genmf_mi.printing.printed import OWN, print_part
+from genmf_mi.printing.printed import print_part
 
 PRINTER = PRINTERS["fdm-0.2"]
 
@@ -82,7 +82,7 @@ class TestPrintPart:
     def test_without_a_slicer(self, tmp_path):
         vertices, faces = part()
         printed = print_part(vertices, faces, PRINTER, None, tmp_path)
-        assert printed.slicer == OWN and printed.report["layers"] == 60
+        assert printed.slicer == slicer.OWN and printed.report["layers"] == 60
         np.testing.assert_allclose(printed.triangles.vertices.min(axis=0), vertices.min(axis=0), atol=0.1)
         np.testing.assert_allclose(printed.triangles.vertices.max(axis=0), vertices.max(axis=0), atol=0.1)
 
