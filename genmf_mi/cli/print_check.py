@@ -10,9 +10,9 @@ from genmf_mi.cli.arguments import call
 def print_check(
     part: Path,
     textured: Path | None = None,
-    printer: str = "fdm-0.2",
+    printer: str | None = None,
     slicer: str = "auto",
-    size_mm: float = 100.0,
+    size_mm: float | None = None,
     scene: Path | None = None,
     out: Path | None = None,
     json: bool = False,
@@ -22,11 +22,13 @@ def print_check(
     and whether the part can be printed.
 
     Args:
-        part: The one-colour part, e.g. refined.3mf, or the folder of a run.
+        part: The one-colour part, e.g. refined.3mf, or the folder of a run, whose part is printed the way up that the
+            run chose.
         textured: The textured asset that it should look like; without it nothing is scored.
-        printer: fdm-0.2, fdm-0.12 or fdm-0.08: filament in layers of so many mm.
+        printer: fdm-0.2, fdm-0.12 or fdm-0.08: filament in layers of so many mm; that of the run, or fdm-0.2, if not
+            given.
         slicer: auto for the one that is installed, own for a simpler one of ours, or a program (PrusaSlicer).
-        size_mm: Longest side of the part.
+        size_mm: Longest side of the part; that of the run, or 100, if not given.
         scene: A scene file; the sample's own or the default one if not given.
         out: Where the picture goes; as_printed.png beside the part if not given.
         json: Print JSON instead of tables.
@@ -39,7 +41,7 @@ def print_check(
         check = checks.print_check(
             part, textured, printer=printer, slicer=slicer, size_mm=size_mm, scene=scene, progress=progress
         )
-        picture = out or checks.print_file(part).parent / checks.PICTURE
+        picture = out or checks.PartToPrint.of(part).folder / checks.PICTURE
         check.write(picture)
     if json:
         from json import dumps

@@ -125,6 +125,8 @@ def print_result(metrics: dict, out: Path) -> None:
     from genmf_mi.report import tables
 
     print_scores(metrics)
+    if stands := tables.stands(metrics):
+        print_table("ways to stand on the print bed, the best one first", stands)
     if stress := tables.stress(metrics):
         print_table("thermal stress by finite elements, MPa", stress)
     if printed := metrics.get("as_printed"):

@@ -6,12 +6,14 @@ side 2 · 0.95, so that the object fits the grid [-1, 1]³ with a margin. Millim
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 HALF_EXTENT = 0.95
 """Half of the longest side in the normalised frame."""
+_UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""The axes of the print frame in the normalised one, as rows, of a part that is printed as it stands: 90° about x."""
 
 
 @dataclass(frozen=True)
@@ -21,11 +23,13 @@ class Frame:
     centre: centre of the bounding box in file units, three floats.
     scale: normalised units per file unit.
     size_mm: the longest side of the printed object.
+    up: unit vector in the normalised frame that points away from the print bed, y as the object stands.
     """
 
     centre: tuple[float, float, float]
     scale: float
     size_mm: float
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0)
 
     @classmethod
     def of(cls, vertices: np.ndarray, size_mm: float) -> Frame:
@@ -34,6 +38,11 @@ class Frame:
         longest = float((high - low).max())
         x, y, z = map(float, (low + high) / 2)
         return cls((x, y, z), 2 * HALF_EXTENT / longest, float(size_mm))
+
+    def standing(self, up: np.ndarray) -> Frame:
+        """The same, printed with the unit vector ``up`` away from the bed."""
+        x, y, z = (float(k) for k in up)
+        return replace(self, up=(x, y, z))
 
     @property
     def mm_per_unit(self) -> float:
@@ -49,16 +58,30 @@ class Frame:
         return points / self.scale + np.asarray(self.centre)
 
     def to_print(self, points: np.ndarray) -> np.ndarray:
-        """The normalised frame to millimetres on the print bed: z up, base on z = 0, ``[N,3]``.
-
-        A rotation by 90° about x takes y up to z up; it keeps the orientation of the faces.
-        """
-        mm = np.asarray(points, dtype=np.float64) * self.mm_per_unit
-        mm = np.stack([mm[:, 0], -mm[:, 2], mm[:, 1]], axis=1)
+        """The normalised frame to millimetres on the print bed: z up, base on z = 0, ``[N,3]``."""
+        mm = self.turned_to_print(points) * self.mm_per_unit
         mm[:, 2] -= mm[:, 2].min()
         return mm
 
     def from_print(self, points_mm: np.ndarray, base: float) -> np.ndarray:
-        """The inverse of :meth:`to_print`, for a part whose lowest point is at ``base`` in the normalised frame."""
-        mm = np.asarray(points_mm, dtype=np.float64)
-        return np.stack([mm[:, 0], mm[:, 2], -mm[:, 1]], axis=1) / self.mm_per_unit + np.array([0.0, base, 0.0])
+        """The inverse of :meth:`to_print`, for a part whose lowest point is at ``base`` along ``up``."""
+        return self.turned_from_print(points_mm) / self.mm_per_unit + base * np.array(self.up)
+
+    def turned_to_print(self, vectors: np.ndarray) -> np.ndarray:
+        """Vectors ``[N,3]`` of the normalised frame along the axes of the print bed; their length stays."""
+        return np.asarray(vectors, dtype=np.float64) @ self._axes.T
+
+    def turned_from_print(self, vectors: np.ndarray) -> np.ndarray:
+        """The inverse of :meth:`turned_to_print`."""
+        return np.asarray(vectors, dtype=np.float64) @ self._axes
+
+    @property
+    def _axes(self) -> np.ndarray:
+        """The axes of the print frame in the normalised one, as rows; a rotation keeps the orientation of faces."""
+        up, y = np.array(self.up), np.array([0.0, 1.0, 0.0])
+        if up[1] < -1 + 1e-9:
+            return _UPRIGHT @ np.diag([1.0, -1.0, -1.0])
+        # The shortest turn that takes up to y (Rodrigues' formula)
+        x, _, z = np.cross(up, y)
+        cross = np.array([[0.0, -z, 0.0], [z, 0.0, -x], [0.0, x, 0.0]])
+        return _UPRIGHT @ (np.eye(3) + cross + cross @ cross / (1 + up[1]))

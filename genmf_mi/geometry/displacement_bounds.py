@@ -54,14 +54,16 @@ def displacement_bounds(
     cap: float,
     wall: float,
     free_ray_distance: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0),
 ) -> DisplacementBounds:
     """The bounds of each vertex, at most ``cap``.
 
     Args:
-        vertices, normals: ``[V,3]``, y up, the normals of unit length. faces: ``[F,3]``.
+        vertices, normals: ``[V,3]``, the normals of unit length. faces: ``[F,3]``.
         cap: the largest relief; wall: the wall thickness that must remain. Both in the unit of the vertices.
         free_ray_distance: from points and unit directions ``[N,3]`` to the distance ``[N]`` of the next surface, inf
             where there is none.
+        up: unit vector away from the print bed.
     """
     convex, concave = curvatures(vertices, faces, normals)
     inward = np.minimum(cap, CURVATURE_LIMIT / np.maximum(convex, 1e-9))
@@ -71,10 +73,10 @@ def displacement_bounds(
     inward = np.minimum(inward, 0.45 * np.maximum(through - wall, 0))
     outward = np.minimum(outward, 0.3 * free_ray_distance(vertices, normals))
     thin = THIN_FEATURE_LIMIT * lateral_thickness(vertices, normals, through, free_ray_distance)
-    contact = BED_CONTACT_LIMIT * (vertices[:, 1] - vertices[:, 1].min())
+    contact = BED_CONTACT_LIMIT * _height(vertices, up)
     inward, outward = (np.minimum(x, np.minimum(thin, contact)) for x in (inward, outward))
     inward, outward = (_spread_minimum(x, faces) for x in (inward, outward))
-    pinned = base(vertices, faces)
+    pinned = base(vertices, faces, up)
     inward[pinned] = outward[pinned] = 0
     return DisplacementBounds(inward, outward, TANGENTIAL_LIMIT * _shortest_edge(vertices, faces)).capped(cap)
 
@@ -116,14 +118,23 @@ def lateral_thickness(
     return width
 
 
-def base(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Indices of the vertices of the flat base, y up; empty if it covers less than 2 % of the footprint's box."""
-    area, height = face_areas(vertices, faces), vertices[:, 1]
-    low, high = height.min(), height.max()
-    down = -face_normals(vertices, faces)[:, 1]
-    flat = (down > 0.98) & (height[faces].max(axis=1) < low + BASE_BAND * (high - low))
-    footprint = np.prod(np.ptp(vertices[:, [0, 2]], axis=0))
+def base(vertices: np.ndarray, faces: np.ndarray, up: tuple[float, float, float] = (0.0, 1.0, 0.0)) -> np.ndarray:
+    """Indices of the vertices of the flat base; empty if it covers less than 2 % of the footprint's box.
+
+    up: unit vector away from the bed.
+    """
+    area, height = face_areas(vertices, faces), _height(vertices, up)
+    down = -(face_normals(vertices, faces) @ np.array(up))
+    flat = (down > 0.98) & (height[faces].max(axis=1) < BASE_BAND * height.max())
+    level = vertices - height[:, None] * np.array(up)
+    footprint = np.prod(np.sort(np.ptp(level, axis=0))[1:])
     return np.unique(faces[flat]) if area[flat].sum() > 0.02 * footprint else np.empty(0, np.int64)
+
+
+def _height(vertices: np.ndarray, up: tuple[float, float, float]) -> np.ndarray:
+    """``[V]`` above the lowest vertex."""
+    along = vertices @ np.array(up)
+    return along - along.min()
 
 
 def _shortest_edge(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

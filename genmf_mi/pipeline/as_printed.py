@@ -95,8 +95,9 @@ class PrintGate:
         printed = print_part(part, faces, self._printer, self._program, self._folder, name)
         self._progress.stage(f"looking at it as printed: {name}")
         ply, triangles = self._folder / f"{name}.ply", printed.triangles
-        seen = self._frame.from_print(triangles.vertices, float(vertices[:, 1].min()))
-        bridge.write_ply(ply, seen, triangles.faces, normals=y_up(triangles.normals))
+        seen = self._frame.from_print(triangles.vertices, float((vertices @ np.array(self._frame.up)).min()))
+        normals = self._frame.turned_from_print(triangles.normals)
+        bridge.write_ply(ply, seen, triangles.faces, normals=normals)
         try:
             return PrintedViews(printed, self._pictures(ply, paint))
         finally:
@@ -168,8 +169,3 @@ def far(image: Tensor, times: int) -> Tensor:
     image = F.conv2d(image, kernel.view(1, 1, -1, 1), padding=(reach, 0))
     image = F.conv2d(image, kernel.view(1, 1, 1, -1), padding=(0, reach))
     return F.avg_pool2d(image, times)
-
-
-def y_up(normals: np.ndarray) -> np.ndarray:
-    """Directions of the print frame, z up, in the normalised one, y up."""
-    return np.stack([normals[:, 0], normals[:, 2], -normals[:, 1]], axis=1)

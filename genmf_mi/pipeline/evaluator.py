@@ -105,12 +105,14 @@ class Evaluator:
 
 
 @torch.no_grad()
-def build_evaluator(reference: Reference, part: Scene, networks: tuple[Network, ...]) -> Evaluator:
+def build_evaluator(
+    reference: Reference, part: Scene, networks: tuple[Network, ...], vertices: Tensor | None = None
+) -> Evaluator:
     """The evaluator of the standard views, with one exposure for all parts and all views.
 
-    part: holds the part before its refinement.
+    vertices: ``[V,3]`` of the part before its refinement; None if ``part`` still holds it.
     """
     evaluator = Evaluator(reference, part, reference.views, Alignment(), networks)
-    shown = bridge.render(part, reference.views, seed=SEED, samples=SAMPLES)
+    shown = bridge.render(part, reference.views, vertices, seed=SEED, samples=SAMPLES)
     evaluator.alignment = Alignment.fit(shown.grey, shown.geometry[2], evaluator.target_grey, evaluator.mask)
     return evaluator

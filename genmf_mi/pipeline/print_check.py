@@ -18,18 +18,19 @@ from genmf_mi.core.errors import ConfigError
 from genmf_mi.core.frame import Frame
 from genmf_mi.core.printer import PRINTERS, Printer
 from genmf_mi.core.progress import Progress
-from genmf_mi.fabrication.files import PRINT_3MF
+from genmf_mi.fabrication.files import COLOURED_GLB
 from genmf_mi.losses import lpips_weights
 from genmf_mi.mesh import topology
 from genmf_mi.pipeline.as_printed import LAMPS, PAINTED, TWO_LIGHTS, Pictures, PrintedViews, PrintGate, paint_of, scores
 from genmf_mi.pipeline.evaluation import WELD
-from genmf_mi.pipeline.problem import RefinementProblem, build_problem
+from genmf_mi.pipeline.problem import DIRECTIONS, RefinementProblem, build_problem, standing
+from genmf_mi.pipeline.run_folder import RunFolder
 from genmf_mi.pipeline.scoring import Scorer
 from genmf_mi.printing import slicer as slicers
 from genmf_mi.render import scene_file, variant
 from genmf_mi.report.pictures import compose, plastic, write_rows
 
-PICTURE = "as_printed.png"
+PICTURE, DEFAULT_PRINTER = "as_printed.png", "fdm-0.2"
 Shapes = Mapping[str, tuple[np.ndarray, np.ndarray]]
 """By name: vertices ``[V,3]`` in the normalised frame and faces ``[F,3]``."""
 LIGHTS = {TWO_LIGHTS: "in even light", LAMPS: "under lamps, with shadows"}
@@ -63,9 +64,39 @@ def printer_named(name: str) -> Printer:
     return printer
 
 
-def print_file(part: str | Path) -> Path:
-    """The print file of a run's folder, or the file itself."""
-    return Path(part) / PRINT_3MF if Path(part).is_dir() else Path(part)
+@dataclass(frozen=True)
+class PartToPrint:
+    """A file with a part in the pose of the textured asset, and how it is printed.
+
+    up: unit vector away from the bed. folder: for pictures of it.
+    """
+
+    path: Path
+    folder: Path
+    printer: str = DEFAULT_PRINTER
+    size_mm: float = 100.0
+    up: tuple[float, float, float] = DIRECTIONS["upright"]
+
+    @classmethod
+    def of(cls, part: str | Path) -> PartToPrint:
+        """A file, which is printed upright, or the part of a run's folder as the run meant it.
+
+        Raises:
+            ConfigError: the run is not complete. OutputError: its files are damaged.
+        """
+        path = Path(part)
+        if not path.is_dir():
+            return cls(samples.resolve(part), path.parent)
+        run = RunFolder(path)
+        metrics = run.metrics()
+        if metrics is None:
+            raise ConfigError(f"there is no complete run in {path}: give the folder of one, or a file.")
+        settings = run.settings()
+        printer = str(settings.get("printer"))
+        x, y, z = metrics.get("stand", {}).get("up", DIRECTIONS["upright"])
+        layered = printer in PRINTERS and PRINTERS[printer].layered
+        chosen = printer if layered else DEFAULT_PRINTER
+        return cls(path / COLOURED_GLB, path, chosen, float(settings["size_mm"]), (x, y, z))
 
 
 def check_shapes(
@@ -106,21 +137,22 @@ def print_check(
     part: str | Path | Asset,
     textured: str | Path | Asset | None = None,
     *,
-    printer: str = "fdm-0.2",
+    printer: str | None = None,
     slicer: str = "auto",
-    size_mm: float = 100.0,
+    size_mm: float | None = None,
     scene: str | Path | None = None,
     progress: Progress | None = None,
 ) -> PrintCheck:
     """Slice a part, look at every bead, and score the look against the textured asset.
 
     Args:
-        part: a closed one-colour shape, in the pose of the textured asset, or the folder of a run; print files are
-            turned upright.
+        part: a closed one-colour shape, in the pose of the textured asset, or the folder of a run, whose part is
+            printed the way up that the run chose; print files are turned upright.
         textured: what it should look like; None only slices and looks.
-        printer: one of :data:`genmf_mi.core.printer.PRINTERS` that works in layers.
+        printer: one of :data:`genmf_mi.core.printer.PRINTERS` that works in layers; that of the run, or
+            :data:`DEFAULT_PRINTER`, if None.
         slicer: ``auto`` for the one that is installed, ``own`` for ours, or a program.
-        size_mm: longest side of the part.
+        size_mm: longest side of the part; that of the run, or 100, if None.
         scene: scene file; the sample's own or ``default.xml`` if None.
 
     Raises:
@@ -128,10 +160,12 @@ def print_check(
     """
     variant.use("auto")
     progress = progress or Progress()
+    told = PartToPrint(Path(), Path()) if isinstance(part, Asset) else PartToPrint.of(part)
+    printer, size_mm = printer or told.printer, size_mm or told.size_mm
     chosen, program = printer_named(printer), slicers.find(slicer)
-    shape = part if isinstance(part, Asset) else load(samples.resolve(print_file(part)))
+    shape = part if isinstance(part, Asset) else load(told.path)
     vertices, faces = topology.weld(shape.vertices, shape.faces, WELD * np.ptp(shape.vertices, axis=0).max())
-    frame = Frame.of(vertices, size_mm)
+    frame = Frame.of(vertices, size_mm).standing(np.array(told.up))
     vertices = frame.normalise(vertices)
     with tempfile.TemporaryDirectory(prefix="genmf-") as folder:
         if textured is None:
@@ -148,7 +182,8 @@ def print_check(
         asset = textured if isinstance(textured, Asset) else load(samples.resolve(textured))
         xml = Path(scene) if scene else scene_file.find(asset.name)
         progress.stage("preparing the textured object")
-        problem = build_problem(asset, RefineConfig(size_mm=size_mm), xml, Path(folder))
+        config = RefineConfig(size_mm=size_mm)
+        problem = standing(build_problem(asset, config, xml, Path(folder)), told.up, config)
         surface = problem.surface
         shapes = {"before": (surface.vertices, surface.faces), "after": (vertices, faces)}
         return check_shapes(problem, shapes, printer, slicer, xml, Path(folder), progress)

@@ -39,6 +39,15 @@ from genmf_mi.sdf.grid import without_small_components
 COARSE_SHARE, COARSEST_MM = 0.35, 1.3
 """Of the face budget, for the triangles that are everywhere where the texture has crisp edges; and how long their edges
 may be: with longer ones too much is lost beside the crispest places."""
+DIRECTIONS: dict[str, tuple[float, float, float]] = {
+    "upright": (0.0, 1.0, 0.0),
+    "upside-down": (0.0, -1.0, 0.0),
+    "on-back": (0.0, 0.0, 1.0),
+    "on-front": (0.0, 0.0, -1.0),
+    "on-left": (1.0, 0.0, 0.0),
+    "on-right": (-1.0, 0.0, 0.0),
+}
+"""What points away from the print bed, by the way of standing."""
 FIELD_SMOOTHING = 11.0
 """λ of a field over that of a mesh whose edges are as long as a cell; a field has four neighbours instead of six, and
 the surface out of it bears no finer relief than its cells."""
@@ -147,28 +156,46 @@ def build_problem(
         timer.lap("remesh")
 
     progress.stage("building scenes")
-    frame = Frame.of(body.vertices, config.size_mm)
+    # Where the best way of standing is asked for, it is looked for from upright
+    up = DIRECTIONS.get(config.stand, DIRECTIONS["upright"])
+    frame = Frame.of(body.vertices, config.size_mm).standing(np.array(up))
     surface, training, evaluation = build_scenes(asset, body, frame, config, xml, folder, pictures)
     low_pass = LowPass(surface.vertices, surface.faces, DETAIL_MM / frame.mm_per_unit)
     broad = low_pass.of(surface.brightness)
     contrast = local_contrast(surface.brightness, broad)
     cap_mm = config.max_relief_mm * (1.0 if references else min(1.0, contrast / FULL_CONTRAST))
+    bounds, loose = bounds_of(surface, frame, training, cap_mm, config.nozzle_mm)
+    timer.lap("scenes")
+    return RefinementProblem(
+        asset, frame, surface, bounds, loose, training, evaluation, low_pass, broad, contrast, cap_mm, body.report
+    )
+
+
+def bounds_of(
+    surface: InitialSurface, frame: Frame, training: ScenePair, cap_mm: float, nozzle_mm: float
+) -> tuple[DisplacementBounds, DisplacementBounds]:
+    """``bounds`` and ``loose_bounds`` of a :class:`RefinementProblem`."""
     loose = displacement_bounds(
         surface.vertices,
         surface.faces,
         surface.normals,
         cap_mm / frame.mm_per_unit,
-        2 * config.nozzle_mm / frame.mm_per_unit,
+        2 * nozzle_mm / frame.mm_per_unit,
         lambda points, directions: bridge.free_ray_distance(training.part.scene, points, directions),
+        frame.up,
     )
-    bounds = loose
-    if not references:
-        points = surface.vertices * frame.mm_per_unit
-        bounds = loose.capped(relief_cap(points, surface.brightness, cap_mm) / frame.mm_per_unit)
-    timer.lap("scenes")
-    return RefinementProblem(
-        asset, frame, surface, bounds, loose, training, evaluation, low_pass, broad, contrast, cap_mm, body.report
-    )
+    if training.reference.pictures:
+        return loose, loose
+    points = surface.vertices * frame.mm_per_unit
+    return loose.capped(relief_cap(points, surface.brightness, cap_mm) / frame.mm_per_unit), loose
+
+
+def standing(problem: RefinementProblem, up: tuple[float, float, float], config: RefineConfig) -> RefinementProblem:
+    """The problem of the same part, printed with the unit vector ``up`` away from the bed."""
+    frame = problem.frame.standing(np.array(up))
+    problem.evaluation.part.stand(up)
+    bounds, loose = bounds_of(problem.surface, frame, problem.training, problem.cap_mm, config.nozzle_mm)
+    return replace(problem, frame=frame, bounds=bounds, loose_bounds=loose)
 
 
 def mesh_finely(asset: Asset, body: solid.Solid, config: RefineConfig) -> solid.Solid:
@@ -214,6 +241,7 @@ def build_scenes(
     bulge = PRINTERS[config.printer].visible_bulge
     scored = RenderSettings(radius, evaluator.RESOLUTION, evaluator.SAMPLES, bulge)
     evaluation = ScenePair(scenes.load(xml, ply, **asdict(scored)), training.reference)
+    evaluation.part.stand(frame.up)
     return InitialSurface(vertices, faces, normals, albedo(vertices, normals)), training, evaluation
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from genmf_mi.assets import sources
 from genmf_mi.assets.asset import Asset
@@ -27,13 +28,14 @@ from genmf_mi.core.progress import Progress
 from genmf_mi.core.timer import Timer
 from genmf_mi.losses import lpips_weights
 from genmf_mi.mesh.self_intersections import self_intersections
-from genmf_mi.pipeline import stress_stage
+from genmf_mi.pipeline import build_direction, stress_stage
+from genmf_mi.pipeline.build_direction import Candidate
 from genmf_mi.pipeline.displacement import Displacement, best_displacement, initial_heights
 from genmf_mi.pipeline.evaluator import Evaluator, build_evaluator
 from genmf_mi.pipeline.optimisation import ExtraTerms, Optimisation, iterations, optimise
 from genmf_mi.pipeline.preview import Preview
 from genmf_mi.pipeline.print_check import check_shapes, printer_named
-from genmf_mi.pipeline.problem import build_problem, parameterize
+from genmf_mi.pipeline.problem import RefinementProblem, build_problem, parameterize, standing
 from genmf_mi.pipeline.results import Outcome, Result, conclude, shapes_of
 from genmf_mi.pipeline.run_folder import PREVIEW, RunFolder
 from genmf_mi.printing.printed import require_bed
@@ -94,10 +96,14 @@ def refine(
 
     with tempfile.TemporaryDirectory(prefix="genmf-") as folder:
         problem = build_problem(asset, config, xml, Path(folder), references=references, progress=progress, timer=timer)
-        require_bed(problem.frame.to_print(problem.surface.vertices), PRINTERS[config.printer])
         progress.stage("rendering the references")
         evaluator = build_evaluator(problem.evaluation.reference, problem.evaluation.part, config.networks)
         displacement = best_displacement(problem, evaluator, progress)
+        stands: list[Candidate] = []
+        if config.stand == "best":
+            progress.stage("looking for the best way to stand")
+            problem, evaluator, displacement, stands = stood_best(problem, evaluator, displacement, config)
+        require_bed(problem.frame.to_print(problem.surface.vertices), PRINTERS[config.printer])
         parameterization = parameterize(problem, config, device)
         timer.lap("displacement")
 
@@ -115,12 +121,26 @@ def refine(
         timer.lap("untangle")
         outcome = Outcome(
             problem, config, evaluator, displacement, surface, optimisation.history, interrupted, left_out,
-            simulated, unconstrained,
+            simulated, unconstrained, stands,
         )  # fmt: skip
         if print_check and not interrupted:
             outcome = as_printed(outcome, print_check, xml, Path(folder), progress)
             timer.lap("print")
         return conclude(outcome, run, timer, progress, save_exr=save_exr)
+
+
+def stood_best(
+    problem: RefinementProblem, evaluator: Evaluator, displacement: Displacement, config: RefineConfig
+) -> tuple[RefinementProblem, Evaluator, Displacement, list[Candidate]]:
+    """The same for the best way to stand on the print bed, and all that were looked at, the best one first."""
+    stands = build_direction.choose(problem, evaluator, displacement.heights, PRINTERS[config.printer])
+    best = stands[0]
+    if best.cost is None or best.up == problem.frame.up:
+        return problem, evaluator, displacement, stands
+    problem = standing(problem, best.up, config)
+    pair, vertices = problem.evaluation, torch.as_tensor(problem.surface.vertices, dtype=torch.float32)
+    evaluator = build_evaluator(pair.reference, pair.part, config.networks, vertices.to(evaluator.device))
+    return problem, evaluator, best_displacement(problem, evaluator, Progress()), stands
 
 
 def _require(config: RefineConfig, out: str | Path | None, *, resume: bool, print_check: bool) -> None:

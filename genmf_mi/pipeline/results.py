@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from genmf_mi.fabrication.checks import check
 from genmf_mi.geometry.parameterization import RefinedSurface
 from genmf_mi.geometry.plain_areas import is_plain
 from genmf_mi.mesh.measures import vertex_areas
+from genmf_mi.pipeline.build_direction import Candidate
 from genmf_mi.pipeline.displacement import Displacement
 from genmf_mi.pipeline.evaluator import Evaluator, unseen_views
 from genmf_mi.pipeline.print_check import PICTURE, PrintCheck
@@ -60,6 +61,7 @@ class Outcome:
 
     stress_stage_left_out: why there was no stress stage although it was asked for, empty otherwise.
     verification: of the stress, empty if it was not asked for; unconstrained: the surface without the stress stage.
+    stands: the ways to stand that were looked at, the best one first; empty if one was given.
     printed: what comes off the printer, if that was asked for.
     """
 
@@ -73,6 +75,7 @@ class Outcome:
     stress_stage_left_out: str
     verification: dict[str, Any]
     unconstrained: tuple[np.ndarray, np.ndarray] | None
+    stands: list[Candidate] = field(default_factory=list[Candidate])
     printed: PrintCheck | None = None
 
     @property
@@ -183,6 +186,7 @@ def metrics_of(outcome: Outcome, scores: dict[str, Any], part_mm: np.ndarray, rg
         "plain_distortion_mm": plain_distortion(outcome, distance, rgb),
         "contrast": problem.contrast,
         "cap_mm": problem.cap_mm,
+        "stand": stood(outcome),
         "displacement_amplitude": outcome.displacement.amplitude,
         "relief_backed_off": backed_off,
         "solid": {**problem.report, **report, **check(part_mm, surface.faces)},
@@ -195,6 +199,15 @@ def metrics_of(outcome: Outcome, scores: dict[str, Any], part_mm: np.ndarray, rg
     if outcome.stress_stage_left_out:
         metrics["stress_stage_left_out"] = outcome.stress_stage_left_out
     return metrics | {"iterations": len(outcome.history), "interrupted": outcome.interrupted}
+
+
+def stood(outcome: Outcome) -> dict[str, Any]:
+    """Which way up the part is printed: its name and ``up``, away from the bed, in the normalised frame; and under
+    ``candidates`` what was looked at to find it."""
+    up = outcome.problem.frame.up
+    name = outcome.stands[0].name if outcome.stands else outcome.config.stand
+    found: dict[str, Any] = {"name": name, "up": list(up)}
+    return found | ({"candidates": [asdict(each) for each in outcome.stands]} if outcome.stands else {})
 
 
 def plain_distortion(outcome: Outcome, distance_mm: np.ndarray, rgb: np.ndarray) -> dict[str, float]:

@@ -11,7 +11,7 @@ from genmf_mi.core.config import RefineConfig
 from genmf_mi.core.progress import Progress
 from genmf_mi.geometry.parameterization import Geometry, Parameterization
 from genmf_mi.geometry.uniform_adam import UniformAdam, percentile
-from genmf_mi.pipeline.problem import RefinementProblem
+from genmf_mi.pipeline.problem import DIRECTIONS, RefinementProblem
 from genmf_mi.sdf import distance
 from genmf_mi.stress.fem.simulation import Settings
 from genmf_mi.stress.fem.statistics import surface_band_depth
@@ -27,7 +27,13 @@ def too_thin(problem: RefinementProblem) -> str:
     """Why a part cannot have a stress stage, as part of a sentence; empty if it can."""
     surface = problem.surface.vertices, problem.surface.faces
     share = distance.thin_fraction(*surface, distance.signed_distance(*surface, Settings().grid))
-    return f"walls are too thin to predict their stress under {share:.0%} of the surface" * (share > LARGEST_THIN_SHARE)
+    reason = f"walls are too thin to predict their stress under {share:.0%} of the surface: print it larger"
+    return reason * (share > LARGEST_THIN_SHARE)
+
+
+def not_upright(problem: RefinementProblem) -> str:
+    """Why the network cannot predict the stress of a part that does not stand upright, empty if it does."""
+    return "the network knows parts that are printed upright only" * (problem.frame.up != DIRECTIONS["upright"])
 
 
 def plan(
@@ -36,7 +42,7 @@ def plan(
     """The stage that a run will have, or else None and why the part cannot have the one that was asked for."""
     if not config.stress_stage or config.method != "relief":
         return None, ""
-    left_out = too_thin(problem)
+    left_out = too_thin(problem) or not_upright(problem)
     if left_out:
         progress.warn(f"no stress stage: {left_out}")
         return None, left_out

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from genmf_mi.core.printer import Printer
+from genmf_mi.fabrication.checks import min_thickness
 from genmf_mi.geometry.laplacian import cotangent_laplacian
 from genmf_mi.mesh.measures import face_areas, face_normals, vertex_areas
 from genmf_mi.printing.slices import Slices
@@ -29,22 +30,29 @@ def printability(vertices: np.ndarray, faces: np.ndarray, slices: Slices, printe
         ``verdict``: ready, look at, or not printable; ``reasons``: of the last two, in words;
         ``first_layer_mm2``; ``floating_parts``: pieces of layers with nothing below them; ``overhang_mm2`` and
         ``overhang_share`` of the surface; ``too_thin_mm2``, of all outlines, where the nozzle does not fit;
+        ``min_thickness_mm``, see :func:`genmf_mi.fabrication.checks.min_thickness`;
         ``mean_curvature_per_mm``: p50, p95 and p99 of its size over the area.
     """
-    normals, areas = face_normals(vertices, faces), face_areas(vertices, faces)
-    on_bed = vertices[faces][..., 2].max(axis=1) < slices.layer_mm
-    hanging = (normals[:, 2] < -np.sin(np.radians(STEEPEST_OVERHANG))) & ~on_bed
+    overhang = overhang_mm2(vertices, faces, slices.layer_mm)
     report = {
         "first_layer_mm2": float(slices.outlines[0].area()),
         "floating_parts": floating_parts(slices),
-        "overhang_mm2": float(areas[hanging].sum()),
-        "overhang_share": float(areas[hanging].sum() / areas.sum()),
+        "overhang_mm2": overhang,
+        "overhang_share": overhang / float(face_areas(vertices, faces).sum()),
         "too_thin_mm2": float(slices.too_thin_mm2(printer.smallest_feature_mm)),
+        "min_thickness_mm": min_thickness(vertices, faces),
         "mean_curvature_per_mm": curvature(vertices, faces),
     }
-    reasons = _reasons(report, slices.area_mm2)
+    reasons = _reasons(report, slices.area_mm2, printer)
     lost = report["first_layer_mm2"] == 0 or report["too_thin_mm2"] > LOST_SHARE * slices.area_mm2
     return {"verdict": NOT_PRINTABLE if lost else LOOK if reasons else READY, "reasons": reasons, **report}
+
+
+def overhang_mm2(vertices: np.ndarray, faces: np.ndarray, layer_mm: float) -> float:
+    """Area of the surface that cannot carry itself, of a part in mm, z up, but for its first layer."""
+    normals, areas = face_normals(vertices, faces), face_areas(vertices, faces)
+    on_bed = vertices[faces][..., 2].max(axis=1) < vertices[:, 2].min() + layer_mm
+    return float(areas[(normals[:, 2] < -np.sin(np.radians(STEEPEST_OVERHANG))) & ~on_bed].sum())
 
 
 def floating_parts(slices: Slices) -> int:
@@ -67,7 +75,7 @@ def curvature(vertices: np.ndarray, faces: np.ndarray) -> dict[str, float]:
     return {f"p{p}": float(size[order][np.searchsorted(share, p / 100)]) for p in (50, 95, 99)}
 
 
-def _reasons(report: dict[str, Any], outlines_mm2: float) -> list[str]:
+def _reasons(report: dict[str, Any], outlines_mm2: float, printer: Printer) -> list[str]:
     """What is worth a look, in words."""
     reasons: list[str] = []
     if report["first_layer_mm2"] < SMALLEST_CONTACT_MM2:
@@ -84,4 +92,9 @@ def _reasons(report: dict[str, Any], outlines_mm2: float) -> list[str]:
     if report["too_thin_mm2"] > THIN_SHARE * outlines_mm2:
         share = report["too_thin_mm2"] / outlines_mm2
         reasons.append(f"{share:.1%} of the outlines are thinner than the nozzle and will be left out: make it larger")
+    if report["min_thickness_mm"] < printer.smallest_wall_mm:
+        reasons.append(
+            f"walls are as thin as {report['min_thickness_mm']:.1f} mm, and two lines need "
+            f"{printer.smallest_wall_mm:g} mm: they may break, so make it larger"
+        )
     return reasons

@@ -67,7 +67,7 @@ class Scene:
     distance: of the camera from the origin, in normalised units. fov: its field of view without any zoom, in degrees.
     resolution: pixels per side of the (square) image.
     lights: direction of each light before any turn, by its key in ``params``.
-    bulge: as in :class:`RenderSettings`.
+    bulge: as in :class:`RenderSettings`. up: unit vector away from the print bed, across the layers.
     moves: counts what invalidates the derivatives of earlier images, see :func:`genmf_mi.render.bridge.render`.
     """
 
@@ -81,6 +81,7 @@ class Scene:
     resolution: int
     lights: dict[str, Float64[ndarray, " 3"]]
     bulge: float | None = None
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0)
     moves: int = 0
 
     @property
@@ -128,9 +129,15 @@ class Scene:
     def shade_as(self, other: Scene) -> None:
         """Render at the resolution of ``other`` and with its layers, or without as it does, from now on."""
         self.resize(other.resolution)
+        self.stand(other.up)
         if other.bulge != self.bulge:
             self.bsdf.stack(other.bulge)
             self.bulge = other.bulge
+
+    def stand(self, up: tuple[float, float, float]) -> None:
+        """Print with the unit vector ``up`` away from the bed from now on."""
+        if up != self.up:
+            self.bsdf.build, self.up = mi.Vector3f(*up), up
 
     def set_view(self, view: View) -> None:
         """Move the camera to ``view``, zoom and turn the lights."""

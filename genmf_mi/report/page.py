@@ -59,7 +59,7 @@ def render(report: Report) -> str:
     environment.filters["term"] = tables.term
     environment.filters["text"] = tables.text
     environment.filters["short"] = lambda value: f"{value:.3g}"
-    comparisons, other = tables.compare({key: value for key, value in report.metrics.items() if key != "stress"})
+    comparisons, other = tables.compare({k: v for k, v in report.metrics.items() if k not in ("stress", "stand")})
     mesh = packing.pack(report)
     drawn = curves.curves(report.history)
     return environment.from_string(_file("page.html")).render(
@@ -72,6 +72,7 @@ def render(report: Report) -> str:
         as_printed=[(light, _printed(pictures, report)) for light, pictures in report.as_printed.items()],
         comparisons=comparisons,
         other_metrics=other,
+        stands=tables.stands(report.metrics),
         stress=tables.stress(report.metrics),
         curves=drawn,
         samples=_samples(report.history, [curve.name for curve in drawn]),

@@ -78,7 +78,7 @@ def notes(report: Report) -> list[str]:
         "from the side makes it stronger, light from all around weaker: try the lamp of the 3D view."
     )
     if reason := metrics.get("stress_stage_left_out"):
-        written.append(f"There was no stress stage: {reason}. Print it larger, or with thicker walls.")
+        written.append(f"There was no stress stage: {reason}.")
     if metrics.get("solid.watertight") is False:
         written.append("The part is not watertight. Let the slicer repair it, and look at its preview layer by layer.")
     if tables.is_finite(intersecting := metrics.get("solid.self_intersections")) and intersecting > 0:

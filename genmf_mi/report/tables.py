@@ -205,6 +205,22 @@ def stress(metrics: dict) -> TextTable | None:
     return TextTable(columns + (["Refined / without", "Increase left"] if compared else []), [*rows, row])
 
 
+def stands(metrics: dict) -> TextTable | None:
+    """The ways to stand on the print bed that a run looked at, the best one first; None if it was told which."""
+    found = metrics.get("stand", {}).get("candidates")
+    if not found:
+        return None
+    columns = ["", "Tilt of the object", "LPIPS as printed", "Overhang", "Height", "Cost"]
+    rows = []
+    for each in found:
+        tilt = math.degrees(math.acos(max(-1.0, min(1.0, each["up"][1]))))
+        cost = "larger than the bed" if each["cost"] is None else f"{each['cost']:.2f}"
+        seen = _cell("lpips", each["lpips"])
+        height = f"{each['height_mm']:.0f} mm"
+        rows.append([each["name"], f"{tilt:.0f}°", seen, percent(each["overhang_share"]), height, cost])
+    return TextTable(columns, rows)
+
+
 def kept_gain(before: float, unconstrained: float, after: float) -> float | None:
     """The share of the gain in LPIPS that the stress stage leaves; None where there was no gain."""
     return (before - after) / (before - unconstrained) if unconstrained < before else None

@@ -16,7 +16,6 @@ import genmf_mi
 from genmf_mi.assets.asset import Asset
 from genmf_mi.cli.main import main
 from genmf_mi.core.errors import ConfigError, SetupError
-from genmf_mi.core.frame import Frame
 from genmf_mi.pipeline import as_printed
 from genmf_mi.pipeline.print_check import print_check
 
@@ -121,19 +120,6 @@ def test_command(toy, two_views, tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["slicer"] == "own"
     assert main(["print-check", str(part), "--slicer", "/nowhere"]) == 2
     assert "--slicer own" in capsys.readouterr().err
-
-
-class TestFrame:
-    def test_there_and_back(self):
-        points = np.random.default_rng(0).normal(size=(20, 3))
-        frame = Frame.of(points, 80.0)
-        normalised = frame.normalise(points)
-        back = frame.from_print(frame.to_print(normalised), float(normalised[:, 1].min()))
-        np.testing.assert_allclose(back, normalised, atol=1e-12)
-
-    def test_normals_turn_with_it(self):
-        turned = as_printed.y_up(np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]))
-        np.testing.assert_array_equal(turned, [[0, 1, 0], [0, 0, -1]])
 
 
 def test_from_afar_nothing_is_lost_and_layers_merge():

@@ -47,6 +47,14 @@ class TestPrintability:
         found = report(trimesh.creation.icosphere(5, radius=10))
         assert "brim" in found["reasons"][0] and found["first_layer_mm2"] < 10
 
+    def test_a_wall_of_less_than_two_lines(self):
+        base, wall = trimesh.creation.box((30, 30, 4)), trimesh.creation.box((30, 0.7, 30))
+        base.apply_translation([0, 0, 2])
+        wall.apply_translation([0, 0, 18])
+        found = report(trimesh.boolean.union([base, wall]).subdivide().subdivide().subdivide())
+        assert found["min_thickness_mm"] == pytest.approx(0.7, abs=0.01)
+        assert len(found["reasons"]) == 1 and "0.7 mm, and two lines need 0.9 mm" in found["reasons"][0]
+
     def test_a_sheet_is_not_printable(self):
         found = report(trimesh.creation.box((30, 0.2, 30)))
         assert found["verdict"] == "not printable"

@@ -64,7 +64,8 @@ class CoarseBody:
     """
 
     def __init__(self, phi: np.ndarray, settings: Settings, edge_mm: float) -> None:
-        self.phi, self.mm = phi, Frame((0.0, 0.0, 0.0), 1.0, settings.size_mm).mm_per_unit
+        self.phi, self.frame = phi, Frame((0.0, 0.0, 0.0), 1.0, settings.size_mm)
+        self.mm = self.frame.mm_per_unit
         self.edge, self.mesh = _coarse_mesh(phi, edge_mm * settings.size_mm / 100.0 / self.mm)
         printed = self.mesh.with_points(self._to_print(self.mesh.points))
         self.problem = Problem(printed, materials.material(settings.material), settings.protocol)
@@ -122,7 +123,7 @@ class CoarseBody:
             gradient.reshape(-1)[self.location.sample].astype(np.float64),
         )
         printed = sensitivity.surface_gradient(self.problem, nodal)
-        return np.stack([printed[:, 0], printed[:, 2], -printed[:, 1]], axis=1) * self.mm
+        return self.frame.turned_from_print(printed) * self.mm
 
     def _kernel(
         self, nodes: np.ndarray, node_slope: np.ndarray, near: np.ndarray, sample_slope: np.ndarray
@@ -146,8 +147,7 @@ class CoarseBody:
     def _to_print(self, points: np.ndarray) -> np.ndarray:
         """As :meth:`Frame.to_print` without moving the base to z = 0: the nodes and the points of
         :class:`PointLocation` must be in one frame."""
-        mm = points * self.mm
-        return np.stack([mm[:, 0], -mm[:, 2], mm[:, 1]], axis=1)
+        return self.frame.turned_to_print(points) * self.mm
 
 
 def _coarse_mesh(phi: np.ndarray, edge: float) -> tuple[float, TetMesh]:

@@ -1,0 +1,116 @@
+"""Which way up a part is printed.
+
+Layers show on walls and hide on slopes, and what hangs over wants supports, so that both the look and the soundness of
+a print depend on the build direction. The object is looked at as it stands on a shelf all the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from genmf_mi.core.printer import Printer
+from genmf_mi.losses.alignment import Alignment
+from genmf_mi.mesh.measures import face_areas
+from genmf_mi.pipeline.evaluator import Evaluator
+from genmf_mi.pipeline.problem import DIRECTIONS, RefinementProblem
+from genmf_mi.printing.printability import overhang_mm2
+
+Up = tuple[float, float, float]
+"""Unit vector away from the print bed, in the normalised frame."""
+LIKELIEST, LIKELY = 5, 0.03
+"""So many of the ways in which the part comes to rest when it is dropped at random are tried, each at least so
+likely."""
+SAME = float(np.cos(np.radians(10.0)))
+"""Cosine of the angle within which two ways of standing are one."""
+SUPPORT_PRICE = 1.0
+"""Of supports under all of the surface, in units of the LPIPS of the untouched part."""
+_CELLS = 50
+"""Of the grid to which points are rounded before their hull is taken, which has thousands of faces otherwise."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A way of standing, and what speaks for it.
+
+    name: of :data:`genmf_mi.pipeline.problem.DIRECTIONS`, or ``tilted``.
+    lpips: of the displacement by brightness, predicted as printed; None without layers that can be seen.
+    overhang_share: of the surface. height_mm: of the part on the bed.
+    cost: what decides, see :func:`choose`; None where the bed of the printer is too small.
+    """
+
+    up: Up
+    name: str
+    lpips: float | None
+    overhang_share: float
+    height_mm: float
+    cost: float | None
+
+
+def choose(problem: RefinementProblem, evaluator: Evaluator, heights: np.ndarray, printer: Printer) -> list[Candidate]:
+    """The ways in which the part may stand while it is printed, the best one first.
+
+    The cost is LPIPS in the shading of layers, over that of the untouched part as it stands, plus the share of the
+    surface that hangs over times :data:`SUPPORT_PRICE`. Without layers only the supports count.
+
+    heights: ``[V]`` along the normals, of the displacement that is looked at.
+    """
+    surface = problem.surface
+    total = float(face_areas(surface.vertices, surface.faces).sum()) * problem.frame.mm_per_unit**2
+    found: list[Candidate] = []
+    unit = 0.0
+    for name, up in candidates(surface.vertices):
+        part_mm = problem.frame.standing(np.array(up)).to_print(surface.vertices)
+        width, depth, height = (float(k) for k in np.ptp(part_mm, axis=0))
+        share = overhang_mm2(part_mm, surface.faces, printer.layer_mm) / total
+        lpips = None
+        if printer.layered:
+            before, lpips = _predicted(problem, evaluator, heights, up)
+            unit = unit or before
+        cost = SUPPORT_PRICE * share + (lpips / unit if lpips is not None else 0.0)
+        found.append(Candidate(up, name, lpips, share, height, cost if printer.fits((width, depth, height)) else None))
+    return sorted(found, key=lambda candidate: np.inf if candidate.cost is None else candidate.cost)
+
+
+def candidates(vertices: np.ndarray) -> list[tuple[str, Up]]:
+    """``upright`` first, then the likeliest ways in which a body of these points ``[V,3]`` comes to rest."""
+    from trimesh import PointCloud, poses
+
+    untyped: Any = poses
+    cell = np.ptp(vertices, axis=0).max() / _CELLS
+    points = np.unique((vertices / cell).astype(np.int64), axis=0) * cell
+    found: tuple[np.ndarray, np.ndarray] = untyped.compute_stable_poses(PointCloud(points).convex_hull)
+    ups = [np.array(DIRECTIONS["upright"])]
+    for pose, likelihood in sorted(zip(*found, strict=True), key=lambda each: -each[1]):
+        up = pose[2, :3]
+        if likelihood >= LIKELY and len(ups) <= LIKELIEST and all(up @ other < SAME for other in ups):
+            ups.append(up)
+    return [_named(up) for up in ups]
+
+
+def _named(up: np.ndarray) -> tuple[str, Up]:
+    """The direction of the six that ``up`` is within ten degrees of, or the same as ``tilted``."""
+    for name, direction in DIRECTIONS.items():
+        if up @ np.array(direction) > SAME:
+            return name, direction
+    x, y, z = (float(k) for k in up / np.linalg.norm(up))
+    return "tilted", (x, y, z)
+
+
+@torch.no_grad()
+def _predicted(problem: RefinementProblem, evaluator: Evaluator, heights: np.ndarray, up: Up) -> tuple[float, float]:
+    """LPIPS of the untouched part and of the displaced one in the shading of layers across ``up``."""
+    surface, part = problem.surface, problem.evaluation.part
+    stood = part.up
+    part.stand(up)
+    look = replace(evaluator)  # the object that it compares with stands as the part does
+    shapes = surface.vertices, surface.vertices + heights[:, None] * surface.normals
+    before, after = (look.render(torch.as_tensor(v, dtype=torch.float32, device=look.device)) for v in shapes)
+    alignment = Alignment.fit(before.grey, before.geometry[2], look.target_grey, look.mask)
+    images = {name: look.align(shown, alignment) for name, shown in (("before", before), ("after", after))}
+    table = look.scorer.lpips(images, "alex")
+    part.stand(stood)
+    return table["before"][0], table["after"][0]
