@@ -99,10 +99,7 @@ def refine(
         progress.stage("rendering the references")
         evaluator = build_evaluator(problem.evaluation.reference, problem.evaluation.part, config.networks)
         displacement = best_displacement(problem, evaluator, progress)
-        stands: list[Candidate] = []
-        if config.stand == "best":
-            progress.stage("looking for the best way to stand")
-            problem, evaluator, displacement, stands = stood_best(problem, evaluator, displacement, config)
+        problem, evaluator, displacement, stands = stood(problem, evaluator, displacement, config, progress)
         require_bed(problem.frame.to_print(problem.surface.vertices), PRINTERS[config.printer])
         parameterization = parameterize(problem, config, device)
         timer.lap("displacement")
@@ -129,10 +126,18 @@ def refine(
         return conclude(outcome, run, timer, progress, save_exr=save_exr)
 
 
-def stood_best(
-    problem: RefinementProblem, evaluator: Evaluator, displacement: Displacement, config: RefineConfig
+def stood(
+    problem: RefinementProblem,
+    evaluator: Evaluator,
+    displacement: Displacement,
+    config: RefineConfig,
+    progress: Progress,
 ) -> tuple[RefinementProblem, Evaluator, Displacement, list[Candidate]]:
-    """The same for the best way to stand on the print bed, and all that were looked at, the best one first."""
+    """The same for the best way to stand on the print bed, if that is asked for, and all that were looked at, the best
+    one first."""
+    if config.stand != "best":
+        return problem, evaluator, displacement, []
+    progress.stage("looking for the best way to stand")
     stands = build_direction.choose(problem, evaluator, displacement.heights, PRINTERS[config.printer])
     best = stands[0]
     if best.cost is None or best.up == problem.frame.up:
@@ -140,7 +145,7 @@ def stood_best(
     problem = standing(problem, best.up, config)
     pair, vertices = problem.evaluation, torch.as_tensor(problem.surface.vertices, dtype=torch.float32)
     evaluator = build_evaluator(pair.reference, pair.part, config.networks, vertices.to(evaluator.device))
-    return problem, evaluator, best_displacement(problem, evaluator, Progress()), stands
+    return problem, evaluator, best_displacement(problem, evaluator, progress), stands
 
 
 def _require(config: RefineConfig, out: str | Path | None, *, resume: bool, print_check: bool) -> None:
