@@ -65,6 +65,8 @@ CATALOGUE = (
               "README, What it gives", ("assets",)),
     Benchmark("as_printed", "as_printed.json", "what is left of the look in filament, by the gate", 40,
               "docs/printing.md; README", ("assets",)),
+    Benchmark("print_bound", "print_bound.json", "how much of the look filament can hold at all", 20,
+              "docs/printing.md", ("assets",)),
     Benchmark("sdf_route", "sdf_route.json", "the same from the field instead of the mesh", 70,
               "README, Mesh or field?; docs/generators.md", ("assets",)),
     Benchmark("stress_stage", "stress_stage.json", "five assets with and without the stress stage", 40,

@@ -63,8 +63,7 @@ def descend(path: Path, steps: int, rate: float, weights: Path | None) -> dict:
     for step in range(steps):
         loss, terms = penalty(relief.geometry().shape)
         loss.backward()
-        for group in optimiser.param_groups:
-            group["lr"] = rate * min(1.0, 3 * (steps - step) / steps)
+        optimiser.rates = [rate * min(1.0, 3 * (steps - step) / steps)]
         optimiser.step()
         print(step, {key: round(value, 4) for key, value in terms.items()}, flush=True)
     _, predicted = penalty(relief.geometry().shape)

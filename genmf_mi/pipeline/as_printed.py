@@ -50,6 +50,10 @@ class Pictures:
     grey: Tensor
     coverage: Tensor
 
+    def of(self, views: slice) -> Pictures:
+        """Those of some views."""
+        return Pictures(self.grey[views], self.coverage[views])
+
 
 @dataclass(frozen=True)
 class PrintedViews:
@@ -148,14 +152,21 @@ def paint_of(problem: RefinementProblem) -> Tensor:
     return torch.cat(paints)
 
 
-def scores(parts: Mapping[str, PrintedViews], networks: tuple[Network, ...] = ("alex",)) -> dict[str, Any]:
-    """:meth:`Scorer.verdicts` of printed parts by lighting; ``before`` has been looked at as the target."""
+def scores(
+    parts: Mapping[str, PrintedViews], networks: tuple[Network, ...] = ("alex",), view: int | None = None
+) -> dict[str, Any]:
+    """:meth:`Scorer.verdicts` of printed parts by lighting; ``before`` has been looked at as the target.
+
+    view: the only one to score; all of them if None.
+    """
+    chosen = slice(None) if view is None else slice(view, view + 1)
     table: dict[str, Any] = {}
     for light in (TWO_LIGHTS, LAMPS):
-        painted, plain = (parts["before"].pictures[key] for key in (light + PAINTED, light))
+        painted, plain = (parts["before"].pictures[key].of(chosen) for key in (light + PAINTED, light))
         scorer = Scorer(painted.grey, painted.coverage, networks)
         alignment = Alignment.fit(plain.grey, plain.coverage, painted.grey, painted.coverage)
-        table[light] = scorer.verdicts({name: part.pictures[light] for name, part in parts.items()}, alignment)
+        shown = {name: part.pictures[light].of(chosen) for name, part in parts.items()}
+        table[light] = scorer.verdicts(shown, alignment)
     return table
 
 
