@@ -100,11 +100,14 @@ class RefineConfig:
     gradient_floor: float = 5e-4
     """Gradients well below this move the surface in proportion instead of at full steps."""
     stress: bool = True
-    """Keep the predicted thermal stress down in a second stage."""
+    """Take relief away again, in a second stage, where it raises the predicted thermal stress."""
     stress_weight: float = 1.0
-    """Weight of the stress against the appearance; at 1 both move the surface equally fast at first, and 0 leaves the
-    stress stage out."""
-    stress_every: int = 10
+    """Weight of the stress against the appearance; at 1 both move the surface equally fast where relief raises a
+    measure of the stress by a hundredth or more; 0 leaves the stress stage out."""
+    stress_by: Literal["solver", "network"] = "solver"
+    """What the stress stage asks: finite elements on a mesh that follows the surface, or a coarse field with the
+    correction of a network (docs/model_card.md), which takes four times as long."""
+    stress_every: int = 20
     """Iterations from one evaluation of the stress to the next; its gradient is held in between."""
     stage_one_share: float = 0.6
     """Share of the iterations before stress joins in."""

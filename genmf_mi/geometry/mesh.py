@@ -20,6 +20,7 @@ from genmf_mi.geometry.laplacian import ImplicitDiffusion
 from genmf_mi.geometry.low_pass import LowPass
 from genmf_mi.geometry.mesh_distance import MeshDistance
 from genmf_mi.geometry.parameterization import FindSelfIntersections, Geometry, RefinedSurface
+from genmf_mi.mesh.nearest import barycentric, closest_points
 
 SATURATION = 0.98
 """Largest share of its bounds that a height is set to: tanh reaches all of them only at infinity."""
@@ -89,6 +90,14 @@ class MeshParameterization:
             bound = torch.where(wanted > 0, self._outward, self._inward)
             x = bound * torch.atanh((wanted / bound).clamp(-SATURATION, SATURATION))
             self.parameters[0].copy_(self._diffusion.inverse(x * self._normals))
+
+    def follow(self, points: np.ndarray, reach: float) -> Callable[[Tensor], Tensor]:
+        """Every point follows the vertices around the nearest point of the surface."""
+        face, closest, depth = closest_points(points, self._vertices64, self.faces)
+        share = np.clip(1 - depth / reach, 0, 1)[:, None] * barycentric(self._vertices64[self.faces[face]], closest)
+        weights = torch.as_tensor(share).to(self.initial_shape)
+        corners = torch.as_tensor(self.faces[face], device=weights.device)
+        return lambda vertices: (weights[..., None] * (vertices - self.initial_shape)[corners]).sum(dim=1)
 
     def distance(self, samples: int) -> Callable[[Tensor], Tensor]:
         """See :class:`genmf_mi.geometry.mesh_distance.MeshDistance`."""

@@ -78,6 +78,12 @@ class Parameterization(Protocol):
         component is left out."""
         ...
 
+    def follow(self, points: np.ndarray, reach: float) -> Callable[[Tensor], Tensor]:
+        """A differentiable function from :attr:`Geometry.shape` to the motion ``[N,3]`` of ``points [N,3]`` inside the
+        initial surface that follow it: at the surface all the way, ever less below, and not at all from the depth
+        ``reach`` on."""
+        ...
+
     def distance(self, samples: int) -> Callable[[Tensor], Tensor]:
         """A differentiable function from :attr:`Geometry.shape` to Φ ``[1,n,n,n]`` on a grid of n = ``samples``."""
         ...

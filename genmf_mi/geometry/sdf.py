@@ -25,9 +25,9 @@ from genmf_mi.geometry.low_pass import LowPass
 from genmf_mi.geometry.mesh import SATURATION
 from genmf_mi.geometry.parameterization import FindSelfIntersections, Geometry, RefinedSurface
 from genmf_mi.geometry.sdf_back_off import Kept, back_off_fields
-from genmf_mi.geometry.sdf_distance import SdfDistance, free_weights, slope
+from genmf_mi.geometry.sdf_distance import SdfDistance, free_weights, sampled, slope
 from genmf_mi.losses import sdf as losses
-from genmf_mi.mesh.nearest import Nearest, barycentric
+from genmf_mi.mesh.nearest import Nearest, barycentric, closest_points
 from genmf_mi.sdf.flexicubes import WEIGHTS, FlexiCubes
 from genmf_mi.sdf.grid import SMALL_COMPONENT_SHARE, without_small_components
 from genmf_mi.sdf.shell import shell
@@ -175,12 +175,25 @@ class SdfParameterization:
         bound = torch.where(wanted > 0, self._outward, self._inward)
         return self._diffusion.inverse(bound * torch.atanh((wanted / bound).clamp(-SATURATION, SATURATION)))[:, 0]
 
+    def follow(self, points: np.ndarray, reach: float) -> Callable[[Tensor], Tensor]:
+        """Every point follows the nearest point of the surface along its normal, by what the field was raised there."""
+        face, closest, depth = closest_points(points, self.vertices, self.faces)
+        weights = barycentric(self.vertices[self.faces[face]], closest)
+        normals = np.einsum("nc,nck->nk", weights, self.normals[self.faces[face]])
+        along = self._tensor(np.clip(1 - depth / reach, 0, 1)[:, None] * normals)
+        at = self._tensor(self.to_grid(closest))
+        return lambda phi: -along * sampled(self._sunk(phi), at)[:, None]
+
+    def _sunk(self, phi: Tensor) -> Tensor:
+        """By how much ``phi [m,m,m]`` is above what it was, in normalised units, ``[m,m,m]``."""
+        change = (phi - self.initial_shape).reshape(-1)[self.samples] / self.slope[:, 0]
+        spread = torch.zeros_like(self.initial_shape).reshape(-1)
+        return spread.index_copy(0, self.samples, change).view_as(self.initial_shape)
+
     def distance(self, samples: int) -> Callable[[Tensor], Tensor]:
         """See :class:`genmf_mi.geometry.sdf_distance.SdfDistance`."""
         surface = self.vertices, self.faces
-        return SdfDistance(
-            self.initial_shape, self.samples, self.slope[:, 0], surface, samples, scale=self.scale, shift=self.shift
-        )
+        return SdfDistance(self._sunk, surface, samples, scale=self.scale, shift=self.shift, device=self.device)
 
     def state(self) -> SdfState:
         """Copies of the parameters."""

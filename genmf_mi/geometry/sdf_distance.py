@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 from scipy.ndimage import gaussian_filter
@@ -44,42 +46,44 @@ def free_weights(asset: SdfAsset, cubes: np.ndarray) -> np.ndarray:
     return np.where(row[:, None] >= 0, asset.weights[row], np.float32(0))
 
 
+def sampled(field: Tensor, places: Tensor) -> Tensor:
+    """``field [m,m,m]`` on [-1, 1]³ at ``places [...,3]``, linear in between, 0 outside: ``[...]``, differentiable."""
+    # grid_sample names the last axis first
+    at = places.flip(-1).reshape(1, -1, 1, 1, 3)
+    values = torch.nn.functional.grid_sample(field[None, None], at, align_corners=True, padding_mode="zeros")
+    return values.reshape(places.shape[:-1])
+
+
 class SdfDistance:
     """Φ in the normalised frame on the grid of the stress prediction, from a generator's Φ on its own grid.
 
-    The exact distance to the initial surface, less what the field has been raised by since. Where the field is a
-    distance on the same grid, this is the field itself.
+    The exact distance to the initial surface, and what the field has sunk by since. Where the field is a distance on
+    the same grid, this is the field itself.
 
     Args:
-        initial: Φ₀ ``[m,m,m]``. samples: ``[N]``, indices of the samples of the flattened grid that can change.
-        slope: ``[N]`` of these, per normalised unit.
+        sunk: from ``phi [m,m,m]`` to by how much its surface has sunk, ``[m,m,m]`` in normalised units.
         surface: vertices ``[V,3]``, normalised frame, and faces ``[F,3]`` of the initial surface.
         n: samples per axis of the result.
         scale, shift: normalised frame = grid units · scale + shift ``[3]``.
+        device: of the result.
     """
 
     def __init__(
         self,
-        initial: Tensor,
-        samples: Tensor,
-        slope: Tensor,
+        sunk: Callable[[Tensor], Tensor],
         surface: tuple[np.ndarray, np.ndarray],
         n: int,
         *,
         scale: float,
         shift: np.ndarray,
+        device: str,
     ) -> None:
-        self._initial, self._samples, self._slope = initial, samples, slope
-        self._distance = torch.as_tensor(signed_distance(*surface, n)).to(initial)
+        self._sunk = sunk
+        like = {"dtype": torch.float32, "device": device}
+        self._distance = torch.as_tensor(signed_distance(*surface, n), **like)
         axes = [(np.linspace(-1, 1, n) - offset) / scale for offset in shift]
-        # grid_sample names the last axis first
-        self._places = torch.as_tensor(np.stack(np.meshgrid(*axes, indexing="ij")[::-1], axis=-1)[None]).to(initial)
+        self._places = torch.as_tensor(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1), **like)
 
     def __call__(self, phi: Tensor) -> Tensor:
         """``[1,n,n,n]``, negative inside, for ``phi [m,m,m]``; linear in it."""
-        change = (phi - self._initial).reshape(-1)[self._samples] / self._slope
-        spread = torch.zeros_like(self._initial).reshape(-1).index_copy(0, self._samples, change)
-        sampled = torch.nn.functional.grid_sample(
-            spread.view(1, 1, *self._initial.shape), self._places, align_corners=True, padding_mode="zeros"
-        )
-        return self._distance[None] + sampled[0]
+        return (self._distance + sampled(self._sunk(phi), self._places))[None]

@@ -104,7 +104,7 @@ def refine(
         parameterization = parameterize(problem, config, device)
         timer.lap("displacement")
 
-        stress, left_out = stress_stage.plan(problem, config, device, progress)
+        stress, left_out = stress_stage.plan(problem, parameterization, config, device, progress)
         alignment = replace(evaluator.alignment, kind=config.alignment)
         optimisation = Optimisation(problem, config, parameterization, alignment, stress, extra_terms)
         interrupted, state = refined(optimisation, displacement, evaluator, run, progress, resume=resume)

@@ -1,7 +1,7 @@
 """Predicted stress as a term of the loss: evaluated every few iterations, linear in between.
 
 The field is a smooth function of a shape that moves by hundredths of a millimetre per iteration, and costs as much as
-several renders.
+several renders. Only what relief adds to the stress counts, and only relief can be taken away for it.
 """
 
 from __future__ import annotations
@@ -14,48 +14,61 @@ from torch import Tensor
 
 from genmf_mi.core.config import Weights
 from genmf_mi.losses import stress as losses
-from genmf_mi.losses.objective import weighted_sum
+from genmf_mi.stress.fem.following import MEASURES, FollowingBody
 from genmf_mi.stress.model.network import crop_box
 from genmf_mi.stress.model.predictor import Predictor
 
-TERMS = ("stress_mean", "stress_variance", "stress_band", "stress_peak")
-"""E and Var over the body, E over its surface band, and the peak (E σ⁸)^⅛."""
+Measure = Callable[[Tensor], Tensor]
+"""From a shape to the :data:`MEASURES` of its stress ``[4]``, differentiable."""
+TOLERATED = 0.01
+"""Increase of a measure over that of the initial shape from which on it counts fully."""
+
+
+def by_solver(body: FollowingBody, follow: Callable[[Tensor], Tensor]) -> Measure:
+    """Finite elements on one mesh. follow: from the shape to the motion ``[N,3]`` of ``body.points``."""
+    return lambda shape: body.measures(follow(shape))
+
+
+def by_network(predictor: Predictor, distance: Callable[[Tensor], Tensor], initial: Tensor, band: float) -> Measure:
+    """A coarse field with the network's correction.
+
+    distance: from the shape to Φ ``[1,n,n,n]``, differentiable. initial: the shape before its refinement.
+    band: depth of the surface band, in the unit of Φ.
+    """
+    with torch.no_grad():
+        # One crop for all evaluations, as the field of a network changes a little with it
+        crop = crop_box(distance(initial))
+
+    def measure(shape: Tensor) -> Tensor:
+        phi = distance(shape)
+        field, body = predictor.field(phi, crop), losses.body(phi)
+        near = losses.mean(field, losses.band(phi, band))
+        return torch.stack([losses.mean(field, body), losses.variance(field, body), near, losses.peak(field, body)])
+
+    return measure
 
 
 class StressPenalty:
-    """L_stress = Σ λ (L / L₀ − 1): each term relative to the initial shape, so that the penalty of that one is 0.
+    """L_stress = Σ λ h(L / L₀ − 1): each measure relative to the initial shape, where h is 0 below 0, and x²/2t up to
+    the tolerated increase t, from where on it has slope 1. Between two evaluations the penalty is linear.
 
-    Between two evaluations the penalty is its tangent at the last one.
+    Its gradient is projected on less relief: a vertex is drawn back towards where it was, or, of a field, a value
+    towards what it was, or not at all. What has not moved stays.
 
     Args:
-        predictor: of the field.
-        distance: from the shape to Φ ``[1,n,n,n]``, differentiable.
-        initial: the shape before its refinement, any tensor.
-        every: calls per evaluation of the field.
-        band: depth of the surface band, in the unit of Φ.
-        weights: λ of the terms; those without a weight are reported only.
+        measure: of a shape. initial: the shape before its refinement, any tensor.
+        every: calls per evaluation.
+        weights: λ of the measures; those without a weight are reported only.
     """
 
-    def __init__(
-        self,
-        predictor: Predictor,
-        distance: Callable[[Tensor], Tensor],
-        initial: Tensor,
-        *,
-        every: int,
-        band: float,
-        weights: Weights | None = None,
-    ) -> None:
-        self._predictor, self._distance, self._every, self._band = predictor, distance, every, band
-        self._weights = {name: getattr(weights or Weights(), name) for name in TERMS}
+    def __init__(self, measure: Measure, initial: Tensor, *, every: int, weights: Weights | None = None) -> None:
+        self._measure, self._every, self._initial = measure, every, initial.detach().clone()
+        self._weights = torch.tensor([getattr(weights or Weights(), name) for name in MEASURES]).to(initial)
         with torch.no_grad():
-            phi = distance(initial)
-            # One crop for all evaluations, as the field of a network changes a little with it
-            self._crop = crop_box(phi)
-            self._initial = self._measures(phi)
+            self._before = measure(self._initial)
         self._calls = 0
         self._tangent: dict[str, Tensor] = {}
-        self._terms: dict[str, float] = {}
+        self._ratios: dict[str, float] = {}
 
     def __call__(self, shape: Tensor) -> tuple[Tensor, dict[str, float]]:
         """L_stress of ``shape``, and each L / L₀ as of the last evaluation."""
@@ -63,31 +76,43 @@ class StressPenalty:
             self._evaluate(shape)
         self._calls += 1
         value, at, gradient = (self._tangent[name] for name in ("value", "at", "gradient"))
-        return value + (gradient * (shape - at)).sum(), self._terms
+        return value + (gradient * (shape - at)).sum(), self._ratios
+
+    @property
+    def strength(self) -> float:
+        """The largest slope of h as of the last evaluation: 1 where a measure is above the tolerated increase, 0 where
+        none has increased."""
+        return float(self._tangent["strength"])
 
     def state_dict(self) -> dict[str, Any]:
         """All that the following calls depend on."""
-        return {"calls": self._calls, "tangent": dict(self._tangent), "terms": dict(self._terms)}
+        return {"calls": self._calls, "tangent": dict(self._tangent), "ratios": dict(self._ratios)}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue from a :meth:`state_dict`."""
-        self._calls, self._terms = state["calls"], dict(state["terms"])
-        self._tangent = {
-            name: value.to(self._initial["stress_mean"].device) for name, value in state["tangent"].items()
-        }
+        self._calls, self._ratios = state["calls"], dict(state["ratios"])
+        self._tangent = {name: value.to(self._initial.device) for name, value in state["tangent"].items()}
 
     def _evaluate(self, shape: Tensor) -> None:
         at = shape.detach().clone()
         moving = at.clone().requires_grad_()
-        relative = {name: value / self._initial[name] for name, value in self._measures(self._distance(moving)).items()}
-        value = weighted_sum({name: ratio - 1 for name, ratio in relative.items()}, self._weights)
-        (gradient,) = torch.autograd.grad(value, moving)
-        self._tangent = {"value": value.detach(), "at": at, "gradient": gradient}
-        self._terms = {name: float(ratio.detach()) for name, ratio in relative.items()}
+        ratios = self._measure(moving) / self._before
+        excess = (ratios.detach() - 1).clamp_min(0)
+        slopes = (excess / TOLERATED).clamp_max(1)
+        value = (self._weights * torch.where(excess < TOLERATED, excess * slopes / 2, excess - TOLERATED / 2)).sum()
+        gradient = torch.zeros_like(at)
+        if bool((self._weights * slopes).any()):
+            (gradient,) = torch.autograd.grad((self._weights * slopes * ratios).sum(), moving)
+        gradient = towards(self._initial, at, gradient)
+        self._tangent = {"value": value, "at": at, "gradient": gradient, "strength": slopes.max()}
+        self._ratios = dict(zip(MEASURES, ratios.tolist(), strict=True))
 
-    def _measures(self, phi: Tensor) -> dict[str, Tensor]:
-        """The :data:`TERMS` in MPa, the variance in MPa²."""
-        field = self._predictor.field(phi, self._crop)
-        body, band = losses.body(phi), losses.band(phi, self._band)
-        measures = losses.mean(field, body), losses.variance(field, body), losses.mean(field, band)
-        return dict(zip(TERMS, (*measures, losses.peak(field, body)), strict=True))
+
+def towards(initial: Tensor, shape: Tensor, gradient: Tensor) -> Tensor:
+    """The part of a gradient along which a step leads from ``shape`` back to ``initial``: of vertices ``[V,3]`` the
+    component along their offset, of values on a grid each, where a step against it makes the offset smaller."""
+    offset = shape - initial
+    if shape.dim() == 2:
+        along = (gradient * offset).sum(dim=1, keepdim=True).clamp_min(0)
+        return along * offset / offset.square().sum(dim=1, keepdim=True).clamp_min(1e-20)
+    return torch.where(gradient * offset > 0, gradient, torch.zeros_like(gradient))

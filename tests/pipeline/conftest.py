@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from toy_runs import CONFIG, Recorder, Waves, striped_ellipsoid
+from toy_runs import COARSE_STRESS, CONFIG, Recorder, Waves, striped_ellipsoid
 
 import genmf_mi
 from genmf_mi.assets.asset import Asset
@@ -33,13 +33,24 @@ def twin(toy, small_refinements, two_views):
 
 
 @pytest.fixture
-def waves(monkeypatch) -> type[Waves]:
-    """A predictor that costs nothing, and a coarse verification."""
-    from genmf_mi.stress.model import predictor
+def coarse_verification(monkeypatch) -> None:
     from genmf_mi.stress.report import verification
 
-    monkeypatch.setattr(predictor, "Predictor", Waves)
     monkeypatch.setattr(verification, "EDGE_MM", 8.0)
+
+
+@pytest.fixture
+def coarse_stress(monkeypatch) -> None:
+    """A stress stage whose meshes have some hundred nodes."""
+    monkeypatch.setattr(*COARSE_STRESS)
+
+
+@pytest.fixture
+def waves(monkeypatch) -> type[Waves]:
+    """A predictor that costs nothing."""
+    from genmf_mi.stress.model import predictor
+
+    monkeypatch.setattr(predictor, "Predictor", Waves)
     monkeypatch.setattr(Waves, "evaluations", 0)
     monkeypatch.setattr(Waves, "asked", None)
     return Waves

@@ -74,6 +74,6 @@ class TestRefine:
         layers = print_check(out, slicer="own", scene=two_views).metrics["parts"]["part"]["layers"]
         assert layers == pytest.approx(height / PRINTERS["fdm-0.2"].layer_mm, abs=1)
 
-    def test_no_stress_stage_unless_upright(self, slab, small_refinements, two_views, waves):
-        config = replace(FILAMENT, stand="on-back", stress=True, iterations=3)
+    def test_the_network_knows_upright_parts_only(self, slab, small_refinements, two_views, waves):
+        config = replace(FILAMENT, stand="on-back", stress=True, stress_by="network", iterations=3)
         assert "upright only" in genmf_mi.refine(slab, config, scene=two_views).metrics["stress_stage_left_out"]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from toy_runs import CONFIG, TOLERANCE_MM, Recorder, Waves, difference_mm, ellipsoid
+from toy_runs import COARSE_STRESS, CONFIG, TOLERANCE_MM, Recorder, difference_mm, ellipsoid
 from toys import stripes
 
 import genmf_mi
@@ -104,7 +104,7 @@ def one_thread():
 @pytest.fixture(scope="module")
 def uninterrupted(toy, two_views, small_refinements, one_thread):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("genmf_mi.stress.model.predictor.Predictor", Waves)
+        patch.setattr(*COARSE_STRESS)
         return genmf_mi.refine(toy, LONGER, scene=two_views)
 
 
@@ -114,7 +114,7 @@ class TestResumedAtAnyIteration:
 
     @pytest.mark.parametrize("killed_after", [4, 7, 8, 9, 10, 13])
     def test_ends_as_if_nothing_had_happened(
-        self, toy, two_views, waves, uninterrupted, tmp_path, monkeypatch, killed_after
+        self, toy, two_views, coarse_stress, uninterrupted, tmp_path, monkeypatch, killed_after
     ):
         monkeypatch.setattr(optimisation, "CHECKPOINT_EVERY", 1)
         run = {"out": tmp_path / "run", "scene": two_views}

@@ -118,9 +118,10 @@ class TestWhole:
         assert 0.2 < metrics["relief_mm"]["max"] <= CONFIG.max_relief_mm
 
 
-def test_second_stage(shape, two_views, waves):
-    """Φ goes to the predictor, whose terms reach the history and whose gradient reaches Φ."""
-    config = replace(CONFIG, stress=True, stage_one_share=0.5)
+@pytest.mark.parametrize("stress_by", ["solver", "network"])
+def test_second_stage(shape, two_views, waves, coarse_stress, stress_by):
+    """Φ reaches the stress, whose measures reach the history."""
+    config = replace(CONFIG, stress=True, stress_by=stress_by, stage_one_share=0.5)
     history = genmf_mi.refine(shape, config, scene=two_views).history
     assert [line["stage"] for line in history] == [1, 1, 1, 2, 2, 2]
     assert all(line["stress_mean"] > 0 for line in history[3:])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import itertools
+from collections.abc import Iterable
 
 import numpy as np
 import pytest
@@ -14,9 +15,10 @@ from genmf_mi.core.config import Weights
 from genmf_mi.geometry.mesh_distance import MeshDistance
 from genmf_mi.losses import stress as losses
 from genmf_mi.sdf.distance import signed_distance
+from genmf_mi.stress.fem.following import MEASURES
 from genmf_mi.stress.model import compute
 from genmf_mi.stress.model.network import Architecture, StressNetwork, crop_box
-from genmf_mi.stress.penalty import TERMS, StressPenalty
+from genmf_mi.stress.penalty import TOLERATED, StressPenalty, by_network, towards
 
 N = 33
 CELL = 2 / (N - 1)
@@ -147,62 +149,85 @@ def test_gradients_against_differences(tiny) -> None:
 
 
 class TestPenalty:
-    """The penalty of a shape that moves, evaluated every third call."""
+    """The penalty of a shape that moves, evaluated every third call; growing raises every measure of this network."""
 
-    def penalty(self, tiny: Tiny, every: int = 3) -> tuple[StressPenalty, torch.Tensor]:
+    def penalty(self, tiny: Tiny, every: int = 3, weights: Weights | None = None) -> tuple[StressPenalty, torch.Tensor]:
         mesh = body()
         tiny.boxes.clear()
         start = tensor(mesh.vertices)
         # One search, as each moves the samples deep inside by hundredths of a cell
-        return StressPenalty(tiny, MeshDistance(mesh.faces, N, every=1000), start, every=every, band=BAND), start
+        self.distance = MeshDistance(mesh.faces, N, every=1000)
+        measure = by_network(tiny, self.distance, start, BAND)
+        return StressPenalty(measure, start, every=every, weights=weights), start
+
+    def hinged(self, ratios: Iterable[float]) -> list[float]:
+        excess = [max(ratio - 1, 0) for ratio in ratios]
+        return [x**2 / (2 * TOLERATED) if x < TOLERATED else x - TOLERATED / 2 for x in excess]
 
     def test_is_nothing_at_the_start(self, tiny) -> None:
         held, start = self.penalty(tiny)
-        loss, terms = held(start)
-        assert list(terms) == ["stress_mean", "stress_variance", "stress_band", "stress_peak"]
-        assert list(terms.values()) == pytest.approx([1, 1, 1, 1], rel=1e-9)
+        loss, ratios = held(start)
+        assert tuple(ratios) == MEASURES
+        assert list(ratios.values()) == pytest.approx([1, 1, 1, 1], rel=1e-9)
         assert float(loss) == pytest.approx(0, abs=1e-9)
 
-    def test_terms_are_relative_to_the_start(self, tiny) -> None:
+    @pytest.mark.parametrize("scale", [0.97, 0.995, 1.0005, 1.002, 1.02])
+    def test_only_increases_count_and_small_ones_less(self, tiny, scale) -> None:
+        held, start = self.penalty(tiny)
+        moved = scale * start
+        loss, ratios = held(moved)
+        assert float(loss) == pytest.approx(sum(self.hinged(ratios.values())), rel=1e-9, abs=1e-15)
+        assert held.strength == pytest.approx(min(max(max(ratios.values()) - 1, 0) / TOLERATED, 1))
+
+    def test_ratios_are_relative_to_the_start(self, tiny) -> None:
         held, start = self.penalty(tiny)
         moved = 1.02 * start
-        loss, terms = held(moved)
-        assert float(loss) == pytest.approx(sum(terms.values()) - 4, rel=1e-9)
+        _, ratios = held(moved)
         values = []
         for shape in (start, moved):
-            phi = held._distance(shape).numpy()
-            field = tiny.field(tensor(phi), held._crop).numpy()
+            phi = self.distance(shape).numpy()
+            field = tiny.field(tensor(phi), tiny.boxes[0]).numpy()
             weight = np.clip(-phi / (0.5 * CELL), 0, 1)
             near = weight * np.clip(0.5 + (phi + BAND) / CELL, 0, 1)
             mean = np.average(field, weights=weight)
             variance = np.average((field - mean) ** 2, weights=weight)
             peak = np.average(field**8, weights=weight) ** (1 / 8)
             values.append([mean, variance, np.average(field, weights=near), peak])
-        assert list(terms.values()) == pytest.approx(list(np.divide(values[1], values[0])), rel=1e-6)
+        assert list(ratios.values()) == pytest.approx(list(np.divide(values[1], values[0])), rel=1e-6)
 
     def test_is_linear_in_between(self, tiny) -> None:
         held, start = self.penalty(tiny)
         rng = np.random.default_rng(0)
-        first = start.clone().requires_grad_()
-        loss, terms = held(first)
+        first = (1.02 * start).requires_grad_()
+        loss, ratios = held(first)
         (gradient,) = torch.autograd.grad(loss, first)
         assert float(gradient.abs().max()) > 0
         for _ in range(2):
-            moved = (start + tensor(1e-3 * rng.normal(size=start.shape))).requires_grad_()
+            moved = (1.02 * start + tensor(1e-3 * rng.normal(size=start.shape))).requires_grad_()
             value, told = held(moved)
             (same,) = torch.autograd.grad(value, moved)
-            assert torch.equal(same, gradient) and told == terms
-            expected = loss.detach() + (gradient * (moved - start)).sum().detach()
+            assert torch.equal(same, gradient) and told == ratios
+            expected = loss.detach() + (gradient * (moved - first)).sum().detach()
             assert float(value.detach()) == pytest.approx(float(expected), rel=1e-12)
 
-    def test_its_gradient_is_true(self, tiny) -> None:
+    def test_leads_back_and_nowhere_else(self, tiny) -> None:
+        """Vertices that have not moved stay; along the offsets of the others the derivative is the true one, wherever
+        it asks for less relief."""
         held, start = self.penalty(tiny, every=1)
-        place = start.clone().requires_grad_()
+        moves = start[:, 0] > 0
+        offset = torch.where(moves[:, None], 0.02 * start, torch.zeros_like(start))
+        place = (start + offset).requires_grad_()
         (gradient,) = torch.autograd.grad(held(place)[0], place)
-        direction, step = tensor(body().vertex_normals), 1e-6
-        values = [float(held(start + s * step * direction)[0]) for s in (1, -1)]
-        slope = (values[0] - values[1]) / (2 * step)
-        assert float((gradient * direction).sum()) == pytest.approx(slope, rel=0.02)
+        assert not gradient[~moves].any() and gradient[moves].any()
+        along = (gradient * offset).sum(dim=1)
+        assert (along >= 0).all()
+        assert (
+            float((gradient - along[:, None] * offset / (offset**2).sum(1, True).clamp_min(1e-20)).abs().max()) < 1e-12
+        )
+        less = along > 0  # of these the penalty knows the derivative
+        step = 1e-4 * offset * less[:, None]
+        values = [float(held(start + offset + sign * step)[0]) for sign in (1, -1)]
+        assert float((gradient * step).sum()) == pytest.approx((values[0] - values[1]) / 2, rel=0.02)
 
     @pytest.mark.parametrize(("every", "evaluations"), [(1, 7), (3, 3), (10, 1)])
     def test_is_evaluated_every_few_calls_in_one_crop(self, tiny, every, evaluations) -> None:
@@ -213,25 +238,23 @@ class TestPenalty:
         assert all(box == tiny.boxes[0] for box in tiny.boxes)
 
     def test_of_phi_itself(self, tiny) -> None:
-        """Where the shape is Φ, nothing stands between: a step against the gradient lowers the penalty."""
+        """Where the shape is Φ, every value is drawn back to what it was, or not at all."""
         phi = tensor(signed_distance(body().vertices, body().faces, N))[None]
-        held = StressPenalty(tiny, lambda shape: shape, phi, every=1, band=BAND)
-        place = phi.clone().requires_grad_()
+        held = StressPenalty(by_network(tiny, lambda shape: shape, phi, BAND), phi, every=1)
+        place = (phi - 0.01 * (phi > -0.5)).requires_grad_()
         loss, _ = held(place)
         (gradient,) = torch.autograd.grad(loss, place)
-        less, _ = held(phi - 1e-4 * gradient / gradient.abs().max())
-        assert less < loss
+        offset = (place - phi).detach()
+        assert (gradient * offset >= 0).all() and gradient.any() and not gradient[offset == 0].any()
+        assert held(place.detach() - 1e-3 * offset * (gradient != 0))[0] < loss
 
-    def test_weights_of_the_terms(self, tiny) -> None:
-        mesh = body()
-        start = tensor(mesh.vertices)
+    def test_weights_of_the_measures(self, tiny) -> None:
         weights = Weights(stress_mean=2.0, stress_variance=0.0, stress_band=0.5, stress_peak=0.0)
-        distance = MeshDistance(mesh.faces, N, every=1000)
-        penalty = StressPenalty(tiny, distance, start, every=1, band=BAND, weights=weights)
-        value, terms = penalty(1.02 * start)
-        expected = 2.0 * (terms["stress_mean"] - 1) + 0.5 * (terms["stress_band"] - 1)
-        assert float(value) == pytest.approx(expected, rel=1e-9)
-        assert set(terms) == set(TERMS), "all are reported"
+        held, start = self.penalty(tiny, 1, weights)
+        value, ratios = held(1.02 * start)
+        hinged = dict(zip(MEASURES, self.hinged(ratios.values()), strict=True))
+        assert float(value) == pytest.approx(2.0 * hinged["stress_mean"] + 0.5 * hinged["stress_band"], rel=1e-9)
+        assert tuple(ratios) == MEASURES, "all are reported"
 
     @pytest.mark.parametrize("calls", [1, 2, 3, 4])
     def test_continued_from_its_state(self, tiny, calls) -> None:
@@ -246,7 +269,18 @@ class TestPenalty:
             pair = []
             for penalty in (whole, other):
                 place = shape.clone().requires_grad_()
-                value, terms = penalty(place)
-                pair.append((value.detach(), torch.autograd.grad(value, place)[0], terms))
+                value, ratios = penalty(place)
+                pair.append((value.detach(), torch.autograd.grad(value, place)[0], ratios))
             assert torch.equal(pair[0][0], pair[1][0]) and torch.equal(pair[0][1], pair[1][1])
             assert pair[0][2] == pair[1][2]
+
+
+def test_towards_of_vertices_and_of_values() -> None:
+    start, offset = torch.zeros(3, 3), torch.tensor([[1.0, 0, 0], [0, 2.0, 0], [0, 0, 0]])
+    gradient = torch.tensor([[3.0, 4.0, 0], [1.0, -1.0, 0], [1.0, 1.0, 1.0]])
+    expected = torch.tensor([[3.0, 0, 0], [0, 0, 0], [0, 0, 0]])
+    assert torch.equal(towards(start, offset, gradient), expected)
+    values = towards(
+        torch.zeros(1, 1, 4), torch.tensor([[[1.0, -1.0, 1.0, 0.0]]]), torch.tensor([[[2.0, -3.0, -1.0, 5.0]]])
+    )
+    assert torch.equal(values, torch.tensor([[[2.0, -3.0, 0.0, 0.0]]]))

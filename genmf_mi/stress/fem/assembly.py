@@ -30,6 +30,13 @@ class P1(ShapeFunctions[np.ndarray]):
         super().__init__(mesh.points, mesh.cells)
         self.mesh = mesh
 
+    def at(self, points: np.ndarray) -> P1:
+        """The elements of the same cells with their nodes elsewhere, ``[N,3]`` in mm; what depends on the cells alone
+        is shared."""
+        other = P1(self.mesh.with_points(points))
+        other.__dict__ |= {"boundary": self.boundary, "_edges": self._edges, "_pattern": self._pattern}
+        return other
+
     @cached_property
     def boundary(self) -> np.ndarray:
         return self.mesh.boundary()

@@ -115,13 +115,12 @@ class CoarseBody:
 
     def _surface_gradient(self, gradient: np.ndarray) -> np.ndarray:
         """Derivative with respect to the nodes of the surface per normalised unit, ``[N,3]``; zero inside."""
-        nodal = sensitivity.nodal_gradient(
-            self.problem,
-            self.field,
+        read = sensitivity.read_at(
             self.location.cell,
             self._to_print(self.location.point),
             gradient.reshape(-1)[self.location.sample].astype(np.float64),
         )
+        nodal = sensitivity.nodal_gradient(self.problem, self.field, read)
         printed = sensitivity.surface_gradient(self.problem, nodal)
         return self.frame.turned_from_print(printed) * self.mm
 

@@ -72,7 +72,10 @@ def multigrid(matrix: sp.bsr_matrix, points: np.ndarray) -> sp.linalg.LinearOper
             "improve_candidates": None,
             "max_coarse": 500,
         }
+        state = np.random.get_state()  # noqa: NPY002 (pyamg starts its power iterations from the global generator)
+        np.random.seed(0)  # noqa: NPY002
         levels = pyamg.smoothed_aggregation_solver(matrix, B=rigid_motions(points), **options).levels
+        np.random.set_state(state)  # noqa: NPY002
     levels[0].A = matrix.tocsr()
     coarsest = np.linalg.pinv(levels[-1].A.toarray(), hermitian=True)
 
@@ -94,20 +97,22 @@ class Equilibrium:
 
     Args:
         spring: stiffness of the clamp at each node in N/mm, ``[N]``.
+        near: of the same cells at nearly the same points, whose multigrid hierarchy serves here too.
     """
 
-    def __init__(self, elements: P1, material: Material, spring: np.ndarray) -> None:
+    def __init__(self, elements: P1, material: Material, spring: np.ndarray, near: Equilibrium | None = None) -> None:
         self.matrix = elements.elastic(*material.lame, spring)
-        self._preconditioner = multigrid(self.matrix, elements.mesh.points)
+        self._preconditioner = near._preconditioner if near else multigrid(self.matrix, elements.mesh.points)
 
-    def solve(self, load: np.ndarray) -> tuple[np.ndarray, int]:
-        """Displacement in mm ``[N,3]`` under forces in N ``[N,3]``; CG iterations.
+    def solve(self, load: np.ndarray, guess: np.ndarray | None = None) -> tuple[np.ndarray, int]:
+        """Displacement in mm ``[N,3]`` under forces in N ``[N,3]``; CG iterations, from ``guess [N,3]`` on.
 
         Raises:
             SolveError: the solve did not converge.
         """
         what = "the elastic equilibrium"
-        solution, count = solve_spd(self.matrix, load.reshape(-1), self._preconditioner, TOLERANCE, what=what)
+        start = None if guess is None else guess.reshape(-1)
+        solution, count = solve_spd(self.matrix, load.reshape(-1), self._preconditioner, TOLERANCE, start, what)
         return solution.reshape(-1, 3), count
 
 

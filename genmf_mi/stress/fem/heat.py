@@ -35,11 +35,12 @@ class Cooling:
         # One step couples a node to little more than its neighbours, so a diagonal preconditioner is enough.
         self._preconditioner = jacobi(self.system)
 
-    def run(self, ambient: np.ndarray, progress: Progress | None = None) -> np.ndarray:
+    def run(self, ambient: np.ndarray, progress: Progress | None = None, guess: np.ndarray | None = None) -> np.ndarray:
         """T_k − T₀ after each time step ``[K+1,N]``, the first of them zero.
 
         Args:
             ambient: T_amb − T₀ at each step, ``[K]``.
+            guess: of the result; every step starts from the one before if None.
 
         Raises:
             SolveError: a step did not converge.
@@ -48,7 +49,8 @@ class Cooling:
         temperature_rise = np.zeros((len(ambient) + 1, len(self.inflow)))
         for step, outside in enumerate(ambient, start=1):
             previous = temperature_rise[step - 1]
-            temperature_rise[step] = self._solve(self.capacity @ previous + self.inflow * outside, guess=previous)
+            start = previous if guess is None else guess[step]
+            temperature_rise[step] = self._solve(self.capacity @ previous + self.inflow * outside, guess=start)
             progress.advance(step, len(ambient))
         return temperature_rise
 

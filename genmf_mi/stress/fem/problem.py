@@ -43,14 +43,17 @@ class Problem:
     """One body with its material and protocol, and all that the adjoint needs (:mod:`genmf_mi.stress.fem.sensitivity`).
 
     ambient: T_amb − T₀ at each time step, ``[K]``. Once solved, there are ``cooling`` and ``equilibrium``, the two
-    linear systems, and ``temperature_rise [K+1,N]``, T − T₀ after each time step (negative, as the body cools).
+    linear systems, ``temperature_rise [K+1,N]``, T − T₀ after each time step (negative, as the body cools), and
+    ``displacement [N,3]``.
 
     Args:
         mesh: in millimetres with z up.
+        near: a solved problem of the same cells at nearly the same points, whose solution the solves start from.
     """
 
-    def __init__(self, mesh: TetMesh, material: Material, protocol: Protocol) -> None:
-        self.elements, self.material, self.protocol = P1(mesh), material, protocol
+    def __init__(self, mesh: TetMesh, material: Material, protocol: Protocol, near: Problem | None = None) -> None:
+        self.elements = near.elements.at(mesh.points) if near else P1(mesh)
+        self.material, self.protocol, self._near = material, protocol, near
         start = material.stress_free_celsius
         times = protocol.step_s * np.arange(1, protocol.steps + 1)
         self.ambient = np.array([protocol.ambient(time, start) - start for time in times])
@@ -66,7 +69,8 @@ class Problem:
         with stage("heat", timer, progress):
             self.cooling = heat.Cooling(elements, material, protocol.heat_transfer_coefficient_w_mm2k, protocol.step_s)
             steps = PartialProgress(progress, DONE["tetrahedra"], DONE["heat"])
-            self.temperature_rise = self.cooling.run(self.ambient, steps)
+            guess = self._near.temperature_rise if self._near else None
+            self.temperature_rise = self.cooling.run(self.ambient, steps, guess)
         final = self.temperature_rise[-1]
         with stage("elasticity", timer, progress):
             spring = elasticity.soft_clamp(
@@ -75,9 +79,11 @@ class Problem:
                 material.youngs_modulus_mpa,
                 protocol.clamp_fraction,
             )
-            self.equilibrium = elasticity.Equilibrium(elements, material, spring)
+            near = self._near
+            self.equilibrium = elasticity.Equilibrium(elements, material, spring, near.equilibrium if near else None)
             load = elasticity.thermal_load(elements, material, final)
-            displacement, iterations = self.equilibrium.solve(load)
+            displacement, iterations = self.equilibrium.solve(load, near.displacement if near else None)
+            self.displacement = displacement
         with stage("stress", timer, progress):
             stress = elasticity.stress(elements, material, displacement, final)
             von_mises = elasticity.von_mises(stress)

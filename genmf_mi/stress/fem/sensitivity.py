@@ -12,6 +12,8 @@ respect to x is a sum over cells with everything else constant, which torch does
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -25,18 +27,18 @@ HARMONIC = 1e-6
 """Relative residual of the harmonic motion of the inner nodes."""
 
 
+Scalar = Callable[[ShapeFunctions[Tensor], Tensor], Tensor]
+"""From the elements and von Mises in MPa in each of their cells ``[T]`` to a scalar, differentiable in both."""
+
+
 @torch.enable_grad()
-def nodal_gradient(
-    problem: Problem, field: Field, cell: np.ndarray, point: np.ndarray, gradient: np.ndarray
-) -> np.ndarray:
+def nodal_gradient(problem: Problem, field: Field, scalar: Scalar) -> np.ndarray:
     """Derivative of a scalar of the von Mises field with respect to the nodes of the mesh, ``[N,3]`` per mm.
 
     The clamp follows the lowest node, and its height that of the highest above it.
 
     Args:
         problem: solved; field: its solution.
-        cell, point: where the scalar reads the field, ``[M]`` and ``[M,3]`` in mm; these points do not move.
-        gradient: of the scalar with respect to von Mises in MPa at these points, ``[M]``.
 
     Raises:
         SolveError: a solve did not converge.
@@ -47,17 +49,30 @@ def nodal_gradient(
     )
     elements = ShapeFunctions(points, torch.from_numpy(field.mesh.cells))
     stress = elasticity.stress(elements, problem.material, displacement, temperature_rise)
-    at_nodes = elements.to_nodes(elasticity.von_mises(stress))
-    weight = elements.barycentric(torch.from_numpy(cell), torch.from_numpy(point))
-    value = (at_nodes[elements.cells[torch.from_numpy(cell)]] * weight).sum(dim=1)
-    scalar = (torch.from_numpy(gradient) * value).sum()
-    (by_displacement,) = torch.autograd.grad(scalar, displacement, retain_graph=True)
+    value = scalar(elements, elasticity.von_mises(stress))
+    (by_displacement,) = torch.autograd.grad(value, displacement, retain_graph=True)
     multiplier = torch.from_numpy(problem.equilibrium.solve(by_displacement.numpy())[0])
-    scalar = scalar - _elastic_residual(problem, elements, stress, displacement.detach(), multiplier)
-    (by_temperature,) = torch.autograd.grad(scalar, temperature_rise, retain_graph=True)
+    value = value - _elastic_residual(problem, elements, stress, displacement.detach(), multiplier)
+    (by_temperature,) = torch.autograd.grad(value, temperature_rise, retain_graph=True)
     multipliers = problem.cooling.adjoint(by_temperature.numpy(), len(problem.ambient))
-    scalar = scalar - _heat_residual(problem, elements, multipliers)
-    return torch.autograd.grad(scalar, points)[0].numpy()
+    value = value - _heat_residual(problem, elements, multipliers)
+    return torch.autograd.grad(value, points)[0].numpy()
+
+
+def read_at(cell: np.ndarray, point: np.ndarray, gradient: np.ndarray) -> Scalar:
+    """A scalar that reads the field at fixed points.
+
+    Args:
+        cell, point: ``[M]`` and ``[M,3]`` in mm.
+        gradient: of the scalar with respect to von Mises in MPa at these points, ``[M]``.
+    """
+
+    def scalar(elements: ShapeFunctions[Tensor], von_mises: Tensor) -> Tensor:
+        weight = elements.barycentric(torch.from_numpy(cell), torch.from_numpy(point))
+        at_corners = elements.to_nodes(von_mises)[elements.cells[torch.from_numpy(cell)]]
+        return (torch.from_numpy(gradient) * (at_corners * weight).sum(dim=1)).sum()
+
+    return scalar
 
 
 def surface_gradient(problem: Problem, gradient: np.ndarray) -> np.ndarray:

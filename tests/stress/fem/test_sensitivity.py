@@ -11,7 +11,7 @@ from genmf_mi.stress.fem.grid import locate_points
 from genmf_mi.stress.fem.materials import material
 from genmf_mi.stress.fem.problem import Field, Problem
 from genmf_mi.stress.fem.protocol import Protocol
-from genmf_mi.stress.fem.sensitivity import nodal_gradient, surface_gradient
+from genmf_mi.stress.fem.sensitivity import nodal_gradient, read_at, surface_gradient
 from genmf_mi.stress.fem.tet_mesh import TetMesh
 from genmf_mi.stress.fem.tetrahedra import isosurface_stuffing
 
@@ -54,7 +54,7 @@ class Case:
 
     def gradient(self, monkeypatch: pytest.MonkeyPatch) -> tuple[Problem, np.ndarray]:
         problem, field = self.solved(self.mesh.points, monkeypatch)
-        return problem, nodal_gradient(problem, field, self.location.cell, self.point, self.weight)
+        return problem, nodal_gradient(problem, field, read_at(self.location.cell, self.point, self.weight))
 
 
 def difference(case: Case, way: np.ndarray, monkeypatch: pytest.MonkeyPatch, step: float = 1e-3) -> float:
