@@ -17,6 +17,8 @@ from genmf_mi.mesh.nearest import Nearest, barycentric
 FORMATS = (".glb", ".gltf", ".obj", ".ply", ".3mf", ".stl")
 """Suffixes that :func:`load` reads."""
 
+LARGEST_COORDINATE, FARTHEST = 1e15, 1e5
+"""Of a vertex, in file units; and extent of an asset over that of all of it but a hundredth."""
 _UP = {".3mf": "z", ".stl": "z"}
 _Z_UP_TO_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
@@ -82,6 +84,7 @@ class Asset:
         used = vertices[faces]
         if not np.isfinite(used).all():
             raise AssetError(f"{where} has vertices that are not numbers (NaN or infinite). Repair or export it again.")
+        _require_sane(where, used.reshape(-1, 3), albedo)
         if np.ptp(used.reshape(-1, 3), axis=0).max() == 0:
             raise AssetError(f"{where} has no size: all its vertices are in one place. Export it again.")
         return cls(name, vertices, faces, albedo, source)
@@ -110,6 +113,27 @@ class Asset:
     @cached_property
     def _nearest(self) -> Nearest:
         return Nearest(self.vertices, self.faces)
+
+
+def _require_sane(where: object, points: np.ndarray, albedo: Albedo) -> None:
+    """Raise :class:`AssetError` for what would be refused after the optimisation, or break native code.
+
+    points: ``[N,3]``, corners of all faces.
+    """
+    if np.abs(points).max() > LARGEST_COORDINATE:
+        raise AssetError(f"{where} has coordinates of {np.abs(points).max():.0e}. Scale it down and export it again.")
+    low, inner_low, inner_high, high = np.percentile(points, [0, 1, 99, 100], axis=0)
+    inner = (inner_high - inner_low).max()
+    if (high - low).max() > FARTHEST * inner > 0:
+        raise AssetError(
+            f"{where} has a few vertices {(high - low).max() / inner:.0e} times farther away than the rest is large. "
+            "Delete them and export it again."
+        )
+    for what, values in (("texture coordinates", albedo.uv), ("colours", albedo.colours)):
+        if not np.isfinite(values).all():
+            raise AssetError(f"{where} has {what} that are not numbers (NaN or infinite). Repair or export it again.")
+    if not np.isfinite([material.factor for material in albedo.materials]).all():
+        raise AssetError(f"{where} has a base colour that is no number (NaN or infinite). Repair or export it again.")
 
 
 def load(path: str | Path, up: str | None = None) -> Asset:
@@ -155,6 +179,8 @@ def _reader(suffix: str) -> Callable[[Path], list[Part]]:
         from genmf_mi.assets.formats.obj import read
     elif suffix == ".3mf":
         from genmf_mi.assets.formats.threemf import read
+    elif suffix == ".stl":
+        from genmf_mi.assets.formats.stl import read
     else:
-        from genmf_mi.assets.formats.ply_stl import read
+        from genmf_mi.assets.formats.ply import read
     return read

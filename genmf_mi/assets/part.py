@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import io
+import struct
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
 
 from genmf_mi.assets.albedo import Albedo, Material
 from genmf_mi.core.errors import AssetError
+
+LARGEST_PIXELS = 10_000 * 10_000
+"""Of a texture: decoding takes up to eight bytes for each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,8 +32,10 @@ class Part:
 
     def transformed(self, matrix: np.ndarray) -> Part:
         """The part under an affine ``matrix [4,4]``; a mirroring one reverses the faces, so that they stay outwards."""
-        vertices = self.vertices @ matrix[:3, :3].T + matrix[:3, 3]
-        faces = self.faces[:, ::-1] if np.linalg.det(matrix[:3, :3]) < 0 else self.faces
+        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused once it is all together
+            vertices = self.vertices @ matrix[:3, :3].T + matrix[:3, 3]
+            mirrors = np.linalg.slogdet(matrix[:3, :3])[0] < 0
+        faces = self.faces[:, ::-1] if mirrors else self.faces
         return Part(vertices, faces, self.material, self.uv, self.colours)
 
 
@@ -72,14 +79,22 @@ def decode_image(data: bytes, name: str) -> np.ndarray:
     from PIL import Image, UnidentifiedImageError
 
     try:
-        with Image.open(io.BytesIO(data)) as image:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # its limit is below ours
+            opened = Image.open(io.BytesIO(data))
+        with opened as image:
+            width, height = image.size
+            if width * height > LARGEST_PIXELS:
+                raise AssetError(f"the texture {name} has {width} × {height} pixels. Scale it down to 8192 × 8192.")
             if image.mode.startswith("I"):  # 16 bits: Pillow would clip instead of scale
-                grey = (np.asarray(image, dtype=np.int64) // 257).clip(0, 255).astype(np.uint8)
+                grey = (np.asarray(image).clip(0, 65535) // 257).astype(np.uint8)
                 return np.repeat(grey[:, :, None], 3, axis=2)
             if image.mode == "P":
                 image = image.convert("RGBA")
             return np.asarray(image.convert("RGB"))
-    except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
+    except Image.DecompressionBombError:
+        raise AssetError(f"the texture {name} has too many pixels. Scale it down to 8192 × 8192.") from None
+    except (UnidentifiedImageError, OSError, SyntaxError, ValueError, EOFError, struct.error) as error:
         raise AssetError(
             f"the texture {name} cannot be decoded ({error}). Open it in an image editor and save it as PNG or JPEG."
         ) from error

@@ -10,10 +10,23 @@ import numpy as np
 
 from genmf_mi.mesh.measures import vertex_normals
 
+FAR = 10.0
+"""Distance from the origin, over the size of the mesh, from which on the node moves it."""
+
 
 def write_glb(path: Path, vertices: np.ndarray, faces: np.ndarray, rgb: np.ndarray | None, title: str) -> None:
-    """One primitive with normals and 16-bit COLOR_0: eight bits of linear light would show as bands in the dark."""
-    attributes = {"POSITION": vertices.astype("<f4"), "NORMAL": vertex_normals(vertices, faces).astype("<f4")}
+    """One primitive with normals and 16-bit COLOR_0: eight bits of linear light would show as bands in the dark.
+
+    Far from the origin, as in scans with map coordinates, the positions are given about the middle, and the node moves
+    them: the format has 24 bits for each.
+    """
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    far = np.abs(vertices).max() > FAR * (high - low).max()
+    origin = (low + high) / 2 if far else np.zeros(3)
+    attributes = {
+        "POSITION": (vertices - origin).astype("<f4"),
+        "NORMAL": vertex_normals(vertices, faces).astype("<f4"),
+    }
     if rgb is not None:
         opaque = np.column_stack([np.clip(rgb, 0, 1), np.ones(len(rgb))])
         attributes["COLOR_0"] = np.rint(opaque * 65535).astype("<u2")
@@ -37,7 +50,7 @@ def write_glb(path: Path, vertices: np.ndarray, faces: np.ndarray, rgb: np.ndarr
         "asset": {"version": "2.0", "generator": "genmf_mi"},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "name": title}],
+        "nodes": [{"mesh": 0, "name": title} | ({"translation": origin.tolist()} if far else {})],
         "meshes": [{"name": title, "primitives": [primitive]}],
         "materials": [{"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.8}}],
         "accessors": accessors,

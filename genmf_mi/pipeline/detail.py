@@ -12,6 +12,8 @@ DETAIL_MM = 8.0
 """Longest wavelength that counts as detail on the printed part; what is broader is shape or tone."""
 FULL_CONTRAST = 0.11
 """Local contrast of the encoded brightness from which on the whole cap may be used."""
+STRONG = 0.2
+"""Local contrast that counts however small it is."""
 FAINT, CRISP = 0.06, 0.2
 """Ranges of the encoded brightness over a few triangles below which there is no texture to speak of, and from which on
 it has edges."""
@@ -24,12 +26,24 @@ def local_contrast(brightness: np.ndarray, broad: np.ndarray) -> float:
     """How much detail there is: the 99th percentile of | brightness − its low-frequency component |.
 
     A soft blush or the speckle of a lemon has 0.05, painted porcelain 0.12, spots and windows 0.3 to 0.5. Relief in
-    proportion keeps what is faint in colour faint in shape, which mean–variance alignment alone would amplify.
+    proportion keeps what is faint in colour faint in shape, which mean–variance alignment alone would amplify. Eyes are
+    less than a hundredth of a figure: what is :data:`STRONG` counts from a thousandth on.
 
     Args:
         brightness: ``[V]``, sRGB-encoded. broad: ``[V]``, its low-frequency component.
     """
-    return float(np.percentile(np.abs(brightness - broad), 99))
+    most, small = np.percentile(np.abs(brightness - broad), [99, 99.9])
+    return float(small if small >= STRONG else most)
+
+
+def span(brightness: np.ndarray) -> tuple[float, float]:
+    """The darkest and the brightest that count: of all but a hundredth at either end, or where that is one brightness
+    as good as, of all but a thousandth, so that the eyes of a plain figure are found.
+
+    brightness: ``[V]``, sRGB-encoded.
+    """
+    smallest, low, high, largest = (float(x) for x in np.percentile(brightness, [0.1, 1, 99, 99.9]))
+    return (smallest, largest) if high - low < STRONG <= largest - smallest else (low, high)
 
 
 def local_range(asset: Asset, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

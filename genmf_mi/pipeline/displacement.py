@@ -15,6 +15,7 @@ from genmf_mi.assets.sdf_asset import SdfAsset
 from genmf_mi.core.config import RefineConfig
 from genmf_mi.core.progress import Progress
 from genmf_mi.losses.perceptual import features, lpips
+from genmf_mi.pipeline.detail import span
 from genmf_mi.pipeline.evaluator import Evaluator
 from genmf_mi.pipeline.problem import RefinementProblem
 
@@ -38,10 +39,10 @@ class Displacement:
 
 
 def heights(problem: RefinementProblem, amplitude: float) -> np.ndarray:
-    """``[V]`` normalised units: brightness about its median, its 1st to 99th percentile spanning twice ``amplitude``
-    times the bounds, cut off at the bounds. An object of one brightness stays as it is."""
+    """``[V]`` normalised units: brightness about its median, its :func:`span` twice ``amplitude`` times the bounds, cut
+    off at the bounds. An object of one brightness stays as it is."""
     brightness = problem.surface.brightness
-    low, high = np.percentile(brightness, [1, 99])
+    low, high = span(brightness)
     if high - low < SMALLEST_CONTRAST:
         return np.zeros(len(brightness))
     brightness = np.clip((brightness - low) / (high - low), 0, 1)

@@ -20,8 +20,10 @@ from genmf_mi.stress.model.predictor import Predictor
 
 Measure = Callable[[Tensor], Tensor]
 """From a shape to the :data:`MEASURES` of its stress ``[4]``, differentiable."""
-TOLERATED = 0.01
-"""Increase of a measure over that of the initial shape from which on it counts fully."""
+FREE, TOLERATED = 0.02, 0.05
+"""Increase of a measure over that of the initial shape up to which it does not count, as finer elements find half of it
+only, and from which on it counts fully."""
+VARIANCE = MEASURES.index("stress_variance")
 
 
 def by_solver(body: FollowingBody, follow: Callable[[Tensor], Tensor]) -> Measure:
@@ -49,8 +51,9 @@ def by_network(predictor: Predictor, distance: Callable[[Tensor], Tensor], initi
 
 
 class StressPenalty:
-    """L_stress = Σ λ h(L / L₀ − 1): each measure relative to the initial shape, where h is 0 below 0, and x²/2t up to
-    the tolerated increase t, from where on it has slope 1. Between two evaluations the penalty is linear.
+    """L_stress = Σ λ h(L / L₀ − 1): each measure relative to the initial shape, of the variance its root. h is 0 up to
+    the free increase, and its slope grows from there to 1 at the tolerated one. Between two evaluations the penalty is
+    linear.
 
     Its gradient is projected on less relief: a vertex is drawn back towards where it was, or, of a field, a value
     towards what it was, or not at all. What has not moved stays.
@@ -97,15 +100,22 @@ class StressPenalty:
         at = shape.detach().clone()
         moving = at.clone().requires_grad_()
         ratios = self._measure(moving) / self._before
-        excess = (ratios.detach() - 1).clamp_min(0)
-        slopes = (excess / TOLERATED).clamp_max(1)
-        value = (self._weights * torch.where(excess < TOLERATED, excess * slopes / 2, excess - TOLERATED / 2)).sum()
+        roots = torch.where(torch.arange(len(ratios), device=ratios.device) == VARIANCE, ratios.sqrt(), ratios)
+        penalties, slopes = hinge(roots.detach() - 1)
+        value = (self._weights * penalties).sum()
         gradient = torch.zeros_like(at)
         if bool((self._weights * slopes).any()):
-            (gradient,) = torch.autograd.grad((self._weights * slopes * ratios).sum(), moving)
+            (gradient,) = torch.autograd.grad((self._weights * slopes * roots).sum(), moving)
         gradient = towards(self._initial, at, gradient)
         self._tangent = {"value": value, "at": at, "gradient": gradient, "strength": slopes.max()}
         self._ratios = dict(zip(MEASURES, ratios.tolist(), strict=True))
+
+
+def hinge(increase: Tensor) -> tuple[Tensor, Tensor]:
+    """h and its slope: 0 below :data:`FREE`, a parabola up to :data:`TOLERATED`, and straight from there on."""
+    excess, width = (increase - FREE).clamp_min(0), TOLERATED - FREE
+    slope = (excess / width).clamp_max(1)
+    return torch.where(excess < width, excess * slope / 2, excess - width / 2), slope
 
 
 def towards(initial: Tensor, shape: Tensor, gradient: Tensor) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import time
 
 import numpy as np
@@ -89,7 +90,7 @@ def test_sixteen_bit_and_palette_pictures(tmp_path):
         ("old.gltf", b'{"asset": {"version": "1.0"}}', "glTF 1"),
         ("none.gltf", b'{"asset": {"version": "2.0"}}', "holds no triangles"),
         ("broken.gltf", b'{"asset": {"version": "2.0"}, "nodes": [{"mesh": 3}]}', "cannot be read as GLTF"),
-        ("zip.3mf", b"PK\x03\x04 nothing more", "cannot be read as 3MF"),
+        ("zip.3mf", b"PK\x03\x04 nothing more", "is no 3MF file"),
         ("short.stl", b"\0" * 90, r"short\.stl"),
         ("points.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
          b"property float z\nend_header\n0 0 0\n", "holds no triangles"),
@@ -210,3 +211,37 @@ def test_real_assets_load(assets):
         assert np.isfinite(rgb).all()
         assert rgb.std() > 0.01
         np.testing.assert_allclose(np.ptp(found.vertices, axis=0).max(), 1, atol=1e-3)
+
+
+class TestBeforeItIsTooLate:
+    """What would be refused after minutes is refused at once."""
+
+    def test_a_texture_of_too_many_pixels(self):
+        from genmf_mi.assets.part import decode_image
+
+        def stored(side: int, mode: str) -> bytes:
+            stream = io.BytesIO()
+            Image.new(mode, (side, side)).save(stream, "PNG", compress_level=1)
+            return stream.getvalue()
+
+        for side in (10_001, 14_000):
+            with pytest.raises(AssetError, match="Scale it down"):
+                decode_image(stored(side, "1"), "bomb.png")
+
+    @pytest.mark.parametrize("scale", [1e16, 1e100, 1e200])
+    def test_huge_coordinates(self, scale):
+        with pytest.raises(AssetError, match="coordinates of"):
+            Asset.from_arrays("a", TRIANGLE * scale, [[0, 1, 2]])
+
+    def test_one_vertex_far_away(self):
+        mesh = ball()
+        vertices = np.array(mesh.vertices)
+        vertices[5] = 1e8
+        with pytest.raises(AssetError, match=r"a few vertices .* farther away"):
+            Asset.from_arrays("a", vertices, mesh.faces)
+
+    def test_colours_that_are_not_numbers(self):
+        colours = np.ones((3, 3))
+        colours[1] = np.nan
+        with pytest.raises(AssetError, match="colours that are not numbers"):
+            Asset.from_arrays("a", TRIANGLE, [[0, 1, 2]], colours=colours)

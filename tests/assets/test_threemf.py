@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import re
+import zipfile
 
 import lib3mf
 import numpy as np
@@ -125,3 +127,76 @@ def test_layers_of_colours_are_refused_by_name(tmp_path):
     builder.place(mesh)
     with pytest.raises(AssetError, match="multi-properties"):
         builder.load(tmp_path / "a.3mf")
+
+
+class TestSlicersOwnFiles:
+    """What slicers keep in a way of their own is named, and never dropped in silence."""
+
+    @pytest.fixture
+    def changed(self, tmp_path):
+        """A box whose model file and archive are changed after lib3mf has written them."""
+
+        def make(change, **members: str) -> asset.Asset:
+            builder = Builder()
+            builder.place(builder.box())
+            builder.load(tmp_path / "plain.3mf")
+            with zipfile.ZipFile(tmp_path / "plain.3mf") as old, zipfile.ZipFile(tmp_path / "a.3mf", "w") as new:
+                for name in old.namelist():
+                    content = old.read(name)
+                    new.writestr(name, change(content) if name.endswith(".model") else content)
+                for name, content in members.items():
+                    new.writestr(f"Metadata/{name}.config", content)
+            return asset.load(tmp_path / "a.3mf")
+
+        return make
+
+    @pytest.mark.parametrize(
+        ("paint", "program"), [(b'paint_color="8"', "Bambu Studio"), (b'slic3rpe:mmu_segmentation="4"', "PrusaSlicer")]
+    )
+    def test_painted_triangles(self, changed, paint, program):
+        prefix = b' xmlns:slic3rpe="http://schemas.slic3r.org/3mf/2017/06"'
+
+        def change(model: bytes) -> bytes:
+            return model.replace(b"<model", b"<model" + prefix, 1).replace(b"<triangle ", b"<triangle " + paint + b" ")
+
+        with pytest.raises(AssetError, match=f"painted in {program}"):
+            changed(change)
+
+    def test_negative_parts(self, changed):
+        settings = '<config><object id="1"><part id="2" subtype="negative_part"/></object></config>'
+        with pytest.raises(AssetError, match="negative parts"):
+            changed(bytes, model_settings=settings)
+
+    def test_no_paint_no_complaint(self, changed):
+        assert len(changed(bytes, model_settings="<config/>").faces) == 12
+
+
+def test_components_that_double_without_end(tmp_path):
+    """Refused before lib3mf expands them; and so is one that contains itself."""
+    builder = Builder()
+    builder.place(builder.box())
+    builder.load(tmp_path / "plain.3mf")
+
+    def load(objects: str, last: int) -> asset.Asset:
+        with zipfile.ZipFile(tmp_path / "plain.3mf") as old, zipfile.ZipFile(tmp_path / "a.3mf", "w") as new:
+            for name in old.namelist():
+                content = old.read(name)
+                if name.endswith(".model"):
+                    content = content.replace(b"</resources>", objects.encode() + b"</resources>")
+                    content = re.sub(rb'(<item objectid=)"\d+"', rb'\1"%d"' % last, content)
+                new.writestr(name, content)
+        return asset.load(tmp_path / "a.3mf")
+
+    def holding(number: int, inner: int) -> str:
+        components = 2 * f'<component objectid="{inner}"/>'
+        return f'<object id="{number}" type="model"><components>{components}</components></object>'
+
+    with zipfile.ZipFile(tmp_path / "plain.3mf") as plain:
+        (model,) = (plain.read(name) for name in plain.namelist() if name.endswith(".model"))
+    first = int(re.search(rb'<object id="(\d+)"', model)[1])
+    assert len(load(holding(100, first) + holding(101, 100), 101).faces) == 4 * 12
+    chain = holding(100, first) + "".join(holding(100 + i, 99 + i) for i in range(1, 40))
+    with pytest.raises(AssetError, match="more than 2000 parts"):
+        load(chain, 139)
+    with pytest.raises(AssetError, match="contains itself"):
+        load(holding(100, 101) + holding(101, 100), 101)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 
 from genmf_mi.assets import asset
@@ -66,7 +69,7 @@ def test_windows_paths(square, tmp_path):
 
 
 def test_missing_texture_is_an_error(square):
-    with pytest.raises(AssetError, match=r"gone\.png, which is not at .*gone\.png"):
+    with pytest.raises(AssetError, match=r"gone\.png, which is not beside it"):
         square("map_Kd gone.png")
 
 
@@ -119,3 +122,118 @@ def test_quads_negative_indices_and_groups(tmp_path):
     areas = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])[:, 2] / 2
     np.testing.assert_allclose(areas, 0.5)
     assert len(found.faces) == 3
+
+
+class TestAsExportersWrite:
+    """Nothing of the look may depend on how a program puts blanks, quotes, cases and marks."""
+
+    @pytest.mark.parametrize(
+        "library",
+        [
+            "newmtl\tskin\n\tmap_Kd\tfour colours.png\n",
+            "\ufeffnewmtl skin\nmap_Kd four colours.png\n",
+            'newmtl "skin"\nmap_Kd "four colours.png"\n',
+            "  NEWMTL   skin\n  MAP_KD   FOUR COLOURS.PNG\n",
+            "newmtl skin\r\nmap_Kd C:\\work\\textures\\four colours.png\r\n",
+            "newmtl skin\nmap_Kd -blendu on -o 0 0 0 four colours.png\n",
+            "newmtl skin\nKd 0.1 0.2 0.3\nmap_Kd ./four colours.png",
+        ],
+    )
+    @pytest.mark.parametrize("use", ["mtllib square.mtl\nusemtl skin", "\ufeffmtllib\tSquare.MTL\n\tusemtl\tskin "])
+    def test_texture_is_found(self, tmp_path, library, use):
+        Image.fromarray(FOUR).save(tmp_path / "four colours.png")
+        (tmp_path / "square.mtl").write_text(library, encoding="utf-8")
+        faces = "\nf 1/1 2/2 3/3\n\tF 1/1 3/3 4/4\n"
+        mark = "\ufeff" if use.startswith("\ufeff") else ""
+        (tmp_path / "square.obj").write_text(mark + SQUARE + use.lstrip("\ufeff") + faces, encoding="utf-8")
+        found = asset.load(tmp_path / "square.obj")
+        assert len(found.faces) == 2
+        np.testing.assert_allclose(at(found, 0.75, 0.75), [0, 1, 0], atol=1e-6)
+
+    def test_apostrophes_and_blanks_in_names(self, tmp_path):
+        Image.fromarray(FOUR).save(tmp_path / "it's  mine.png")
+        (tmp_path / "my materials.mtl").write_text("newmtl Bob's  skin\nmap_Kd it's  mine.png\n")
+        text = SQUARE + "mtllib my materials.mtl\nusemtl Bob's skin\nf 1/1 2/2 3/3 4/4\n"
+        (tmp_path / "a.obj").write_text(text)
+        np.testing.assert_allclose(at(asset.load(tmp_path / "a.obj"), 0.75, 0.75), [0, 1, 0], atol=1e-6)
+
+    def test_several_libraries_on_one_line(self, tmp_path):
+        for name, kd in (("a", "1 0 0"), ("b", "0 1 0")):
+            (tmp_path / f"{name}.mtl").write_text(f"newmtl {name}\nKd {kd}\n")
+        text = SQUARE + "mtllib a.mtl b.mtl\nusemtl a\nf 1 2 3\nusemtl b\nf 1 3 4\n"
+        (tmp_path / "a.obj").write_text(text)
+        found = asset.load(tmp_path / "a.obj")
+        np.testing.assert_allclose(at(found, 0.75, 0.25), [1, 0, 0], atol=1e-6)
+        np.testing.assert_allclose(at(found, 0.25, 0.75), [0, 1, 0], atol=1e-6)
+
+    @pytest.mark.parametrize("line", ["v 1 two 3", "f 1 x 3", "vt", "v 1 2"])
+    def test_what_cannot_be_understood_is_shown(self, tmp_path, line):
+        (tmp_path / "a.obj").write_text(SQUARE + line + "\nf 1 2 3\n")
+        with pytest.raises(AssetError, match=r"line 10 of .*a\.obj|less than three coordinates"):
+            asset.load(tmp_path / "a.obj")
+
+    @pytest.mark.parametrize("kd", ["nan 0 0", "1 2", "red", "inf 0 0"])
+    def test_colours_that_are_not_numbers(self, square, kd):
+        with pytest.raises(AssetError, match="not three numbers"):
+            square("", f"Kd {kd}")
+
+
+class TestPolygons:
+    @pytest.mark.parametrize("turn", [(0, 1, 2), (1, 2, 0), (2, 0, 1), (1, 0, 2)])
+    def test_a_concave_one_is_filled_within(self, tmp_path, turn):
+        """A comb with three teeth, in every plane and both ways round: a prism has the volume of its outline."""
+        outline = [(0, 0), (5, 0), (5, 3), (4, 3), (4, 1), (3, 1), (3, 3), (2, 3), (2, 1), (1, 1), (1, 3), (0, 3)]
+        count = len(outline)
+        points = np.array([(x, y, z) for z in (0, 2) for x, y in outline], dtype=float)[:, turn]
+        faces = [list(range(count, 2 * count)), list(range(count))[::-1]]
+        faces += [[i, (i + 1) % count, count + (i + 1) % count, count + i] for i in range(count)]
+        rows = [f"v {x} {y} {z}" for x, y, z in points]
+        rows += ["f " + " ".join(str(i + 1) for i in face) for face in faces]
+        (tmp_path / "comb.obj").write_text("\n".join(rows))
+        found = asset.load(tmp_path / "comb.obj")
+        mesh = trimesh.Trimesh(found.vertices, found.faces)
+        area, around = 5 + 3 * 2, 5 + 2 * 3 + 3 + 4 * 2 + 2
+        assert mesh.is_watertight and abs(mesh.volume) == pytest.approx(2 * area)
+        assert mesh.area == pytest.approx(2 * area + 2 * around)
+        assert len(found.faces) == 2 * (count - 2) + 2 * count
+
+    def test_degenerate_ones_do_no_harm(self, tmp_path):
+        (tmp_path / "a.obj").write_text(SQUARE + "f 1 2 3 4\nf 1 2 1 2\nf 1 2\nf 1 1 1 1 1\n")
+        assert len(asset.load(tmp_path / "a.obj").faces) >= 2
+
+
+class TestFilesThatAreNamed:
+    """Only regular files below the asset's own folder are read."""
+
+    @pytest.fixture
+    def naming(self, tmp_path):
+        home = tmp_path / "home"
+        home.mkdir()
+        (tmp_path / "secret.mtl").write_text("newmtl skin\nKd 1 0 0\n")
+
+        def make(name: str):
+            (home / "a.obj").write_text(SQUARE + f"mtllib {name}\nusemtl skin\nf 1 2 3\n")
+            return asset.load(home / "a.obj")
+
+        return home, make
+
+    @pytest.mark.parametrize("name", ["/dev/zero", "/etc/passwd", "../secret.mtl"])
+    def test_others_are_refused_by_name(self, naming, name):
+        with pytest.raises(AssetError, match="not below its own folder"):
+            naming[1](name)
+
+    def test_so_are_links_that_lead_out(self, naming, tmp_path):
+        home, make = naming
+        (home / "link.mtl").symlink_to(tmp_path / "secret.mtl")
+        with pytest.raises(AssetError, match="not below its own folder"):
+            make("link.mtl")
+
+    def test_pipes_do_not_hang(self, naming):
+        home, make = naming
+        os.mkfifo(home / "pipe.mtl")
+        with pytest.raises(AssetError, match="is no file"):
+            make("pipe.mtl")
+
+    def test_what_is_missing_is_said(self, naming):
+        with pytest.raises(AssetError, match="not beside it"):
+            naming[1]("gone.mtl")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import zipfile
+from dataclasses import replace
 
 import lib3mf
 import meshio
@@ -85,6 +86,15 @@ def test_glb_is_in_the_frame_of_the_asset_with_linear_colours(written, part):
     np.testing.assert_allclose(mesh.vertex_normals, trimesh.Trimesh(mesh.vertices, faces).vertex_normals, atol=0.02)
     back = asset.load(written["glb"])
     np.testing.assert_allclose(back.albedo.colours, rgb, atol=1e-5)  # 16 bits
+
+
+def test_glb_far_from_the_origin_keeps_every_detail(tmp_path, part):
+    """As scans with map coordinates are: a tenth of a millimetre at five thousand kilometres."""
+    vertices, faces, frame, rgb = part
+    away = replace(frame, centre=(500_123.25, 212.5, -4_649_776.75), scale=1.0)
+    found = fabricate.write(tmp_path, vertices, faces, away, rgb, "rock")
+    for back in (trimesh.load_mesh(found["glb"], process=False), asset.load(found["glb"])):
+        np.testing.assert_allclose(back.vertices, away.restore(vertices), atol=1e-6)
 
 
 def test_glb_follows_the_specification(written):

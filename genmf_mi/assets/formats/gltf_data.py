@@ -11,9 +11,12 @@ from urllib.parse import unquote
 
 import numpy as np
 
+from genmf_mi.assets.formats import beside
 from genmf_mi.core.errors import AssetError
 
 _DTYPE = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+LARGEST_COUNT = 50_000_000
+"""Entries of an array."""
 _WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 
 
@@ -34,12 +37,15 @@ class GltfData:
         (3.6.2)."""
         accessor = self.tree["accessors"][index]
         dtype, width = np.dtype(_DTYPE[accessor["componentType"]]), _WIDTH[accessor["type"]]
-        count = accessor["count"]
+        count = self._whole(accessor["count"], LARGEST_COUNT)
         if "bufferView" in accessor:
             view = self.tree["bufferViews"][accessor["bufferView"]]
             data = self.view(accessor["bufferView"])
-            stride = view.get("byteStride") or dtype.itemsize * width
-            array = np.ndarray((count, width), dtype, data, accessor.get("byteOffset", 0), (stride, dtype.itemsize))
+            packed = dtype.itemsize * width
+            stride, start = self._whole(view.get("byteStride") or packed, 252), accessor.get("byteOffset", 0)
+            if count and self._whole(start, len(data)) + (count - 1) * stride + packed > len(data):
+                raise AssetError(f"{self.path} is damaged: an array reaches beyond its data. Export it again.")
+            array = np.ndarray((count, width), dtype, data, start, (stride, dtype.itemsize))
         else:
             array = np.zeros((count, width), dtype)
         if "sparse" in accessor:
@@ -75,9 +81,10 @@ class GltfData:
     def view(self, index: int) -> memoryview:
         """The bytes of a buffer view (3.6.1)."""
         view = self.tree["bufferViews"][index]
-        start = view.get("byteOffset", 0)
-        data = memoryview(self.buffer(view["buffer"]))[start : start + view["byteLength"]]
-        if len(data) < view["byteLength"]:
+        buffer = self.buffer(view["buffer"])
+        start, length = view.get("byteOffset", 0), self._whole(view["byteLength"], max(len(buffer), LARGEST_COUNT))
+        data = memoryview(buffer)[self._whole(start, max(len(buffer), LARGEST_COUNT)) :][:length]
+        if len(data) < length:
             raise AssetError(f"{self.path} is truncated: its data ends early. Download or export it again.")
         return data
 
@@ -92,14 +99,19 @@ class GltfData:
         """The bytes behind a data URI or the name of a file beside the asset (2.8)."""
         if uri.startswith("data:"):
             return base64.b64decode(uri.partition(",")[2])
-        path = self.path.parent / unquote(uri)
-        try:
-            return path.read_bytes()
-        except OSError:
+        data = beside.read(self.path, unquote(uri))
+        if data is None:
             raise AssetError(
                 f"{self.path} refers to {uri}, which is not beside it. "
                 "Put that file there, or export a self-contained GLB."
-            ) from None
+            )
+        return data
+
+    def _whole(self, number: object, largest: int) -> int:
+        """``number`` if it is a whole one from 0 to ``largest``."""
+        if not (isinstance(number, int) and 0 <= number <= largest):
+            raise AssetError(f"{self.path} is damaged: it asks for {number} of something. Export it again.")
+        return number
 
 
 def _container(path: Path) -> tuple[dict, bytes]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +15,13 @@ from genmf_mi.assets.part import Part, decode_image
 from genmf_mi.core import colour
 from genmf_mi.core.errors import AssetError
 
+MOST_PARTS = 2000
+"""Objects on the build plate, components counted each time that they are used."""
+_OBJECT = re.compile(rb'<(?:\w+:)?object\b[^>]*?\bid="(\d+)"(.*?)</(?:\w+:)?object>', re.DOTALL)
+_COMPONENT = re.compile(rb'<(?:\w+:)?component\b[^>]*?\bobjectid="(\d+)"')
+LARGEST_MODEL = 512 * 1024**2
+"""Bytes of a file in the archive that is searched."""
+
 
 def read(path: Path) -> list[Part]:
     """All objects on the build plate, in the file's own unit and z up, one part per object and property group.
@@ -19,10 +29,13 @@ def read(path: Path) -> list[Part]:
     Colours are sRGB-encoded by the specification; of composite materials the display colours are mixed in linear light.
 
     Raises:
-        AssetError: the file uses multi-properties, which layer several colours on one triangle.
+        AssetError: the file uses multi-properties, which layer several colours on one triangle; it has parts that a
+            slicer would subtract; its only colours are painted in a slicer; or it repeats its components without end.
     """
     from lib3mf import get_wrapper
 
+    _require_understood(path)
+    _require_bounded(path)
     model: Any = get_wrapper().CreateModel()  # the generated bindings declare that it may be None
     model.QueryReader("3mf").ReadFromFile(str(path))
     parts, groups = [], {}
@@ -31,7 +44,75 @@ def read(path: Path) -> list[Part]:
         item = items.GetCurrent()
         matrix = _matrix(item.GetObjectTransform()) if item.HasObjectTransform() else np.eye(4)
         parts += _object(path, model, groups, item.GetObjectResource(), matrix)
+    coloured = any(part.material.texture is not None or part.colours is not None for part in parts)
+    if not coloured and (painter := _painted(path)):
+        raise AssetError(
+            f"{path} has its colours painted in {painter}, which are kept in a way of its own. Put them into a texture "
+            "or vertex colours, and export it as GLB, OBJ or PLY."
+        )
     return parts
+
+
+def _require_understood(path: Path) -> None:
+    """Raise :class:`AssetError` for what slicers write into their own files of settings and would change the shape."""
+    settings = _member(path, "Metadata/model_settings.config", "Metadata/Slic3r_PE_model.config")
+    if re.search(rb'subtype="negative_part"|key="volume_type" value="NegativeVolume"', settings):
+        raise AssetError(
+            f"{path} has negative parts, which a slicer cuts out of the others. Cut them there, and export it again."
+        )
+
+
+def _require_bounded(path: Path) -> None:
+    """Raise :class:`AssetError` for more than :data:`MOST_PARTS`, before lib3mf expands them all: components that refer
+    to components can double some dozen times in a few kilobytes."""
+    held: dict[str, list[str]] = {}
+    for text in _models(path):
+        for number, body in _OBJECT.findall(text):
+            held.setdefault(number.decode(), []).extend(inner.decode() for inner in _COMPONENT.findall(body))
+    counts: dict[str, int] = {}
+
+    def count(number: str, above: tuple[str, ...]) -> int:
+        if number in above:
+            raise AssetError(f"{path} has an object that contains itself. Export it again.")
+        if number not in counts:
+            inner = held.get(number, [])
+            counts[number] = sum(count(one, (*above, number)) for one in inner) if inner else 1
+        return counts[number]
+
+    if max((count(number, ()) for number in held), default=0) > MOST_PARTS:
+        raise AssetError(f"{path} has more than {MOST_PARTS} parts. Merge them, and export it again.")
+
+
+def _models(path: Path) -> Iterator[bytes]:
+    """The model files in the archive, each up to :data:`LARGEST_MODEL`."""
+    with zipfile.ZipFile(path) as archive:
+        for name in archive.namelist():
+            if name.lower().endswith(".model"):
+                with archive.open(name) as stream:
+                    yield stream.read(LARGEST_MODEL)
+
+
+def _painted(path: Path) -> str:
+    """The program in which the triangles of a file were painted; empty if they were not."""
+    for text in _models(path):
+        if re.search(rb'\bpaint_color="', text):
+            return "Bambu Studio or OrcaSlicer"
+        if re.search(rb'mmu_segmentation="', text):
+            return "PrusaSlicer"
+    return ""
+
+
+def _member(path: Path, *names: str) -> bytes:
+    """The first of these files in the archive, up to :data:`LARGEST_MODEL`; empty if there is none."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            for name in names:
+                if name in archive.namelist():
+                    with archive.open(name) as stream:
+                        return stream.read(LARGEST_MODEL)
+    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, OSError):
+        raise AssetError(f"{path} is no 3MF file, or is damaged. Download or export it again.") from None
+    return b""
 
 
 def _object(path: Path, model, groups: dict, item, matrix: np.ndarray) -> list[Part]:

@@ -98,9 +98,18 @@ class Equilibrium:
     Args:
         spring: stiffness of the clamp at each node in N/mm, ``[N]``.
         near: of the same cells at nearly the same points, whose multigrid hierarchy serves here too.
+        tolerance: relative residual of the solutions.
     """
 
-    def __init__(self, elements: P1, material: Material, spring: np.ndarray, near: Equilibrium | None = None) -> None:
+    def __init__(
+        self,
+        elements: P1,
+        material: Material,
+        spring: np.ndarray,
+        near: Equilibrium | None = None,
+        tolerance: float = TOLERANCE,
+    ) -> None:
+        self._tolerance = tolerance
         self.matrix = elements.elastic(*material.lame, spring)
         self._preconditioner = near._preconditioner if near else multigrid(self.matrix, elements.mesh.points)
 
@@ -112,7 +121,7 @@ class Equilibrium:
         """
         what = "the elastic equilibrium"
         start = None if guess is None else guess.reshape(-1)
-        solution, count = solve_spd(self.matrix, load.reshape(-1), self._preconditioner, TOLERANCE, start, what)
+        solution, count = solve_spd(self.matrix, load.reshape(-1), self._preconditioner, self._tolerance, start, what)
         return solution.reshape(-1, 3), count
 
 

@@ -25,9 +25,11 @@ from genmf_mi.stress.fem.statistics import SURFACE_BAND_MM
 from genmf_mi.stress.fem.tet_mesh import TetMesh, largest_component
 from genmf_mi.stress.fem.tetrahedra import isosurface_stuffing
 
-FINEST, MOST_NODES = 0.025 * 2 * HALF_EXTENT, 30_000
+FINEST, MOST_NODES = 0.025 * 2 * HALF_EXTENT, 20_000
 """Edge of the mesh in normalised units, 2.5 mm of 100; and nodes from which on it is longer, so that a look takes two
 seconds."""
+LOOK_TOLERANCE = 1e-5
+"""Relative residual of the equilibrium of a look."""
 REACH = 2.0
 """Edges below the surface at which nodes stay where they are."""
 SMALLEST_CELL = 0.2
@@ -48,13 +50,21 @@ class FollowingBody:
         phi: ``[n,n,n]``, normalised frame. frame: of the part, its size and the way it is printed.
         settings: material and protocol; its edge and size are not used.
         nodes: of the mesh, about, unless that would be finer than :data:`FINEST`.
+        tolerance: relative residual of the equilibrium.
 
     Raises:
         SolidError: the mesh holds nothing of the body. SolveError: a solve did not converge.
     """
 
-    def __init__(self, phi: np.ndarray, frame: Frame, settings: Settings, nodes: int = MOST_NODES) -> None:
-        self._frame = frame
+    def __init__(
+        self,
+        phi: np.ndarray,
+        frame: Frame,
+        settings: Settings,
+        nodes: int = MOST_NODES,
+        tolerance: float = LOOK_TOLERANCE,
+    ) -> None:
+        self._frame, self._tolerance = frame, tolerance
         edge = mesh_edge(phi, nodes)
         self._mesh, _ = largest_component(isosurface_stuffing(phi, edge))
         self.points, self.reach = self._mesh.points, REACH * edge
@@ -85,7 +95,7 @@ class FollowingBody:
         if not np.any(moved):
             return self._still, self._field, follows
         mesh = self._at(self._printed + follows[:, None] * moved)
-        problem = Problem(mesh, self._material, self._protocol, near=self._still)
+        problem = Problem(mesh, self._material, self._protocol, self._still, self._tolerance)
         try:
             return problem, problem.solve(), follows
         except SolveError:  # too far from where it was for the hierarchy of that

@@ -49,10 +49,18 @@ class Problem:
     Args:
         mesh: in millimetres with z up.
         near: a solved problem of the same cells at nearly the same points, whose solution the solves start from.
+        tolerance: relative residual of the equilibrium.
     """
 
-    def __init__(self, mesh: TetMesh, material: Material, protocol: Protocol, near: Problem | None = None) -> None:
-        self.elements = near.elements.at(mesh.points) if near else P1(mesh)
+    def __init__(
+        self,
+        mesh: TetMesh,
+        material: Material,
+        protocol: Protocol,
+        near: Problem | None = None,
+        tolerance: float = elasticity.TOLERANCE,
+    ) -> None:
+        self.elements, self._tolerance = near.elements.at(mesh.points) if near else P1(mesh), tolerance
         self.material, self.protocol, self._near = material, protocol, near
         start = material.stress_free_celsius
         times = protocol.step_s * np.arange(1, protocol.steps + 1)
@@ -80,7 +88,9 @@ class Problem:
                 protocol.clamp_fraction,
             )
             near = self._near
-            self.equilibrium = elasticity.Equilibrium(elements, material, spring, near.equilibrium if near else None)
+            self.equilibrium = elasticity.Equilibrium(
+                elements, material, spring, near.equilibrium if near else None, self._tolerance
+            )
             load = elasticity.thermal_load(elements, material, final)
             displacement, iterations = self.equilibrium.solve(load, near.displacement if near else None)
             self.displacement = displacement

@@ -1,14 +1,16 @@
-"""PLY and STL, through trimesh, with the checks that it leaves out."""
+"""PLY, through trimesh, with the colours and the checks that it leaves out."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
 from trimesh.visual import ColorVisuals, TextureVisuals
 
 from genmf_mi.assets.albedo import Material, Texture
+from genmf_mi.assets.formats import beside
 from genmf_mi.assets.part import Part, decode_image
 from genmf_mi.core import colour
 from genmf_mi.core.errors import AssetError
@@ -20,16 +22,14 @@ def read(path: Path) -> list[Part]:
     Colours are taken as sRGB-encoded. A texture takes precedence over vertex colours, and those over face colours.
 
     Raises:
-        AssetError: a truncated STL, several textures, or a texture that is missing or has no texture coordinates.
+        AssetError: several textures, or a texture that is missing or has no texture coordinates.
     """
-    ply = path.suffix.lower() == ".ply"
-    textures = _textures(path) if ply else []
+    textures = _textures(path)
     if len(textures) > 1:
         raise AssetError(f"{path} uses {len(textures)} textures. Export it as GLB, or bake them into one.")
-    if textures and not (path.parent / textures[0]).is_file():
+    data = beside.read(path, textures[0]) if textures else None
+    if textures and data is None:
         raise AssetError(f"{path} uses the texture {textures[0]}, which is not beside it. Put it there.")
-    if not ply:
-        _require_complete_stl(path)
     mesh = trimesh.load(path, process=False)
     if not isinstance(mesh, trimesh.Trimesh):
         return []
@@ -38,11 +38,13 @@ def read(path: Path) -> list[Part]:
     if textures:
         if not isinstance(visual, TextureVisuals) or visual.uv is None:
             raise AssetError(f"{path} names a texture but has no texture coordinates. Unwrap it and export it again.")
-        texture = Texture(decode_image((path.parent / textures[0]).read_bytes(), textures[0]))
+        assert data is not None
+        texture = Texture(decode_image(data, textures[0]))
         uv = np.column_stack([visual.uv[:, 0], 1 - visual.uv[:, 1]])
         return [Part(vertices, faces, Material(texture=texture), uv)]
-    if isinstance(visual, ColorVisuals) and visual.kind == "vertex":
-        return [Part(vertices, faces, Material(), colours=colour.bytes_to_linear(visual.vertex_colors[:, :3]))]
+    colours = _vertex_colours(path, mesh)
+    if colours is not None:
+        return [Part(vertices, faces, Material(), colours=colours)]
     if isinstance(visual, ColorVisuals) and visual.kind == "face":
         corners = np.repeat(colour.bytes_to_linear(visual.face_colors[:, :3]), 3, axis=0)
         separate = np.arange(3 * len(faces)).reshape(-1, 3)
@@ -50,13 +52,36 @@ def read(path: Path) -> list[Part]:
     return [Part(vertices, faces, Material())]
 
 
-def _require_complete_stl(path: Path) -> None:
-    """trimesh takes a truncated binary file for text."""
-    with path.open("rb") as handle:
-        head = handle.read(84)
-    text = head.lstrip().startswith(b"solid")
-    if not text and path.stat().st_size != 84 + 50 * int.from_bytes(head[80:], "little"):
-        raise AssetError(f"{path} is truncated, or not an STL file. Download or export it again.")
+_NAMES = (
+    ("red", "green", "blue"),
+    ("diffuse_red", "diffuse_green", "diffuse_blue"),
+    ("r", "g", "b"),
+    ("f_dc_0", "f_dc_1", "f_dc_2"),
+)
+"""What writers call the colour of a vertex."""
+_SPLATS = "f_dc_0"
+
+
+def _vertex_colours(path: Path, mesh: trimesh.Trimesh) -> np.ndarray | None:
+    """Linear RGB ``[V,3]`` of the vertices under any of the usual names and in any type, or None."""
+    raw: Any = mesh.metadata.get("_ply_raw", {}).get("vertex", {})
+    data = raw.get("data")
+    names: dict[str, str] = {str(name).lower(): str(name) for name in raw.get("properties", {})}
+    chosen = next((three for three in _NAMES if all(name in names for name in three)), None)
+    if chosen is None or data is None:
+        return None
+    if chosen[0] == _SPLATS:
+        raise AssetError(f"{path} holds Gaussian splats, which have no surface. Convert it to a mesh.")
+    columns = [np.asarray(data[names[name]]) for name in chosen]
+    rgb = np.stack([np.ravel(column) for column in columns], axis=1)
+    if len(rgb) != len(mesh.vertices):
+        return None
+    if rgb.dtype.kind in "iu":
+        return colour.to_linear(rgb / float(np.iinfo(rgb.dtype).max)).astype(np.float32)
+    rgb = rgb.astype(np.float64)
+    if not np.isfinite(rgb).all():
+        raise AssetError(f"{path} has colours that are not numbers. Export it again.")
+    return colour.to_linear(np.clip(rgb / 255 if rgb.max() > 1 else rgb, 0, 1)).astype(np.float32)
 
 
 def _textures(path: Path) -> list[str]:
