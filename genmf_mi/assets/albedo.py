@@ -19,12 +19,24 @@ class Texture:
     wrap: the rule outside of 0..1 along u and v: ``repeat``, ``clamp`` or ``mirror``.
     nearest: take the nearest texel instead of interpolating four.
     transform: ``[2,3]``, applied to (u, v, 1) before the lookup (KHR_texture_transform).
+    alpha: ``uint8 [H,W]``, how opaque it is, or None for opaque all over.
     """
 
     pixels: np.ndarray
     wrap: tuple[str, str] = (REPEAT, REPEAT)
     nearest: bool = False
     transform: np.ndarray = field(default_factory=lambda: np.eye(2, 3))
+    alpha: np.ndarray | None = None
+
+    def opacity(self, uv: np.ndarray) -> np.ndarray:
+        """0 to 1 at ``uv [N,2]``, of the nearest texel: ``[N]``."""
+        if self.alpha is None:
+            return np.ones(len(uv))
+        uv = uv @ self.transform[:, :2].T + self.transform[:, 2]
+        height, width = self.alpha.shape
+        columns = _wrap(np.floor(uv[:, 0] * width).astype(np.int64), width, self.wrap[0])
+        rows = _wrap(np.floor(uv[:, 1] * height).astype(np.int64), height, self.wrap[1])
+        return self.alpha[rows, columns] / 255.0
 
     def sample(self, uv: np.ndarray) -> np.ndarray:
         """Linear RGB ``float32 [N,3]`` at ``uv [N,2]``; interpolated after decoding, as graphics cards do."""
@@ -46,10 +58,15 @@ class Texture:
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """Base colour of some faces: ``factor`` (linear RGB) times the texture, if there is one."""
+    """Base colour of some faces: ``factor`` (linear RGB) times the texture, if there is one.
+
+    cutoff: opacity below which the faces are not seen; None where transparency is not meant. opacity: of the factor.
+    """
 
     factor: tuple[float, float, float] = (1.0, 1.0, 1.0)
     texture: Texture | None = None
+    cutoff: float | None = None
+    opacity: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +93,20 @@ class Albedo:
             or len({material.factor for material in used}) > 1
             or bool(np.ptp(self.colours, axis=0).max(initial=0) > 0)
         )
+
+    def opacity(self, faces: np.ndarray, face_index: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
+        """0 to 1 at ``barycentric [N,3]`` of the faces ``face_index [N]`` of ``faces [F,3]``: ``[N]``; 1 where
+        transparency is not meant."""
+        result = np.ones(len(face_index))
+        for number, material in enumerate(self.materials):
+            rows = np.flatnonzero(self.material[face_index] == number)
+            if material.cutoff is None or len(rows) == 0:
+                continue
+            result[rows] = material.opacity
+            if material.texture is not None:
+                uv = np.einsum("nk,nkc->nc", barycentric[rows], self.uv[faces[face_index[rows]]])
+                result[rows] *= material.texture.opacity(uv)
+        return result
 
     def sample(self, faces: np.ndarray, face_index: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
         """Linear RGB ``float32 [N,3]`` at ``barycentric [N,3]`` of the faces ``face_index [N]`` of ``faces [F,3]``."""

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from genmf_mi.assets.albedo import Albedo, Material, Texture
+from genmf_mi.assets.overlays import Overlay, outermost, split
 from genmf_mi.assets.part import Part, join
 from genmf_mi.core.errors import AssetError, GenmfError
 from genmf_mi.mesh.nearest import Nearest, barycentric
@@ -94,6 +95,12 @@ class Asset:
         """Whether the colour varies, so that there is detail for the relief to show."""
         return self.albedo.varies
 
+    @property
+    def matter(self) -> np.ndarray:
+        """``[F,3]``: the faces that make the shape, which decals do not."""
+        decals = [overlay.faces for overlay in self._layers[2] if overlay.decal]
+        return np.delete(self.faces, np.concatenate(decals), axis=0) if decals else self.faces
+
     def albedo_at(self, face_index: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
         """Linear RGB ``float32 [N,3]`` at ``barycentric [N,3]`` of the faces ``face_index [N]``."""
         return self.albedo.sample(self.faces, face_index, barycentric)
@@ -101,18 +108,29 @@ class Asset:
     def closest_albedo(self, points: np.ndarray, normals: np.ndarray | None = None) -> np.ndarray:
         """Linear RGB ``float32 [N,3]`` of the surface nearest to ``points [N,3]`` in file units.
 
-        With ``normals [N,3]``, a face that points the other way is replaced by one within 2 % of the longest side that
-        does not, so that the inside of a thin wall does not take the colour of its outside.
+        With ``normals [N,3]`` of unit length, a face that points the other way is replaced by one within 2 % of the
+        longest side that does not, so that the inside of a thin wall does not take the colour of its outside; and
+        decals and what is printed on a transparent shell cover what is below them.
         """
         points = np.ascontiguousarray(points, dtype=np.float64)
-        index, closest, _ = self._nearest.find(points)
+        body, nearest, overlays = self._layers
+        index, closest, _ = nearest.find(points)
         if normals is not None:
-            index, closest = self._nearest.on_agreeing_faces(points, np.asarray(normals), index, closest)
+            index, closest = nearest.on_agreeing_faces(points, np.asarray(normals), index, closest)
+        index = body[index]
+        if normals is not None and overlays:
+            below = index, closest
+            index, closest = outermost(
+                overlays, points, np.asarray(normals), below, self.vertices, self.faces, self.albedo
+            )
         return self.albedo_at(index, barycentric(self.vertices[self.faces[index]], closest))
 
     @cached_property
-    def _nearest(self) -> Nearest:
-        return Nearest(self.vertices, self.faces)
+    def _layers(self) -> tuple[np.ndarray, Nearest, list[Overlay]]:
+        """The faces of the body ``[B]`` and what finds the nearest of them, and what lies over it."""
+        body, groups = split(self.vertices, self.faces, self.albedo)
+        over = [Overlay.of(rows, self.vertices, self.faces, self.albedo) for rows in groups]
+        return body, Nearest(self.vertices, self.faces[body]), over
 
 
 def _require_sane(where: object, points: np.ndarray, albedo: Albedo) -> None:

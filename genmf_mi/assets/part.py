@@ -66,6 +66,17 @@ def join(parts: list[Part]) -> tuple[np.ndarray, np.ndarray, Albedo]:
     )
 
 
+def decode_alpha(data: bytes) -> np.ndarray | None:
+    """How opaque an image file is, ``uint8 [H,W]``; None if all of it is. It has been decoded before."""
+    from PIL import Image
+
+    with Image.open(io.BytesIO(data)) as image:
+        if not (image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info):
+            return None
+        alpha = np.asarray(image.convert("RGBA"))[..., 3]
+    return None if alpha.min() == 255 else alpha
+
+
 def decode_image(data: bytes, name: str) -> np.ndarray:
     """An image file as sRGB-encoded ``uint8 [H,W,3]``; transparency is dropped.
 

@@ -36,12 +36,13 @@ def print_check(
     """
     from genmf_mi.cli.progress import TerminalProgress
     from genmf_mi.pipeline import print_check as checks
+    from genmf_mi.pipeline.run_folder import AS_PRINTED
 
     with TerminalProgress(quiet=quiet or json) as progress:
         check = checks.print_check(
             part, textured, printer=printer, slicer=slicer, size_mm=size_mm, scene=scene, progress=progress
         )
-        picture = out or checks.PartToPrint.of(part).folder / checks.PICTURE
+        picture = out or checks.PartToPrint.of(part).folder / AS_PRINTED
         check.write(picture)
     if json:
         from json import dumps

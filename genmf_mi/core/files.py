@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import NamedTemporaryFile
+from typing import IO
 
 from genmf_mi.core.errors import OutputError
+
+LOCK = ".lock"
 
 
 def claim_folder(
@@ -19,6 +22,7 @@ def claim_folder(
     interrupted: Sequence[str] = (),
     force: bool = False,
     resume: bool = False,
+    foreign: Sequence[str] = (),
 ) -> None:
     """Make sure that new results may be written into ``folder``, or that it holds something to resume.
 
@@ -27,6 +31,8 @@ def claim_folder(
         finished: file names any of which marks a finished result; interrupted: likewise for an unfinished one.
         force: replace what is there.
         resume: continue what is unfinished.
+        foreign: names of files that would be replaced and that no earlier work of ours has left; one that is there is
+            never replaced.
 
     Raises:
         OutputError: the folder cannot be read or made; it holds a result and ``force`` is not given; or there is
@@ -35,6 +41,11 @@ def claim_folder(
     folder = Path(folder)
     try:
         unfinished, complete = (any((folder / name).exists() for name in names) for names in (interrupted, finished))
+        if theirs := [name for name in foreign if os.path.lexists(folder / name)]:
+            raise OutputError(
+                f"{folder} holds {theirs[0]}, which no {what} has left there and which would be replaced. "
+                "Choose another --out."
+            )
         if resume:
             if not unfinished:
                 raise OutputError(f"{folder} holds no interrupted {what}. Start one without --resume.")
@@ -45,6 +56,53 @@ def claim_folder(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"cannot write to {folder}: {error.strerror}. Choose another --out.") from error
+
+
+@contextmanager
+def locked(folder: str | Path | None, what: str = "run") -> Iterator[None]:
+    """Have ``folder`` to oneself; it is made, and removed again if nothing was put into it. None locks nothing.
+
+    Raises:
+        OutputError: another process has it, or it cannot be written to.
+    """
+    if folder is None:
+        yield
+        return
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        handle = (folder / LOCK).open("a")
+    except OSError as error:
+        raise OutputError(f"cannot write to {folder}: {error.strerror}. Choose another --out.") from error
+    with handle:
+        if not _lock(handle):
+            raise OutputError(f"another {what} is writing into {folder}. Wait for it, or choose another --out.")
+        try:
+            yield
+        finally:
+            (folder / LOCK).unlink(missing_ok=True)
+            with suppress(OSError):  # there is something in it
+                folder.rmdir()
+
+
+def _lock(handle: IO[str]) -> bool:
+    """Whether the file is ours alone until it is closed, be it by the end of the process."""
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        return True
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def sweep(folder: str | Path, names: Sequence[str]) -> None:
+    """Remove what :func:`atomic` has left of the files ``names`` where the process was killed."""
+    for name in map(Path, names):
+        for left in Path(folder).glob(f".{name.stem}-????????{name.suffix}"):
+            left.unlink(missing_ok=True)
 
 
 @contextmanager

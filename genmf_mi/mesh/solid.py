@@ -10,7 +10,7 @@ import manifold3d
 import numpy as np
 
 from genmf_mi.core.errors import SolidError
-from genmf_mi.mesh import measures, rebuild, repair, topology
+from genmf_mi.mesh import measures, rebuild, repair, topology, voids
 from genmf_mi.mesh.manifold import is_solid, to_arrays, to_manifold
 from genmf_mi.mesh.nearest import closest_points, distance_to_surface
 from genmf_mi.mesh.refine import halve_edges
@@ -56,8 +56,8 @@ def solidify(name: str, vertices: np.ndarray, faces: np.ndarray) -> Solid:
     """Make one closed manifold of arbitrary triangles, changing as little as possible.
 
     Seams are welded, duplicate and collapsed faces removed, all faces oriented outwards, small holes capped and
-    overlapping components united. Enclosed cavities are filled. Only if that gives no manifold, the surface is rebuilt
-    from a signed-distance field, 256 cells along the longest side.
+    overlapping components united. Enclosed cavities are filled, and so are voids that only a pinhole opens. Only if that
+    gives no manifold, the surface is rebuilt from a signed-distance field, 256 cells along the longest side.
 
     Args:
         name: of the asset, for messages.
@@ -94,6 +94,7 @@ def solidify(name: str, vertices: np.ndarray, faces: np.ndarray) -> Solid:
         "stray_faces_dropped": 0,
         "stray_bodies_dropped": 0,
         "cavities_filled": 0,
+        "voids_filled": 0,
         "touching_vertices_separated": 0,
         "rebuilt": False,
         "area_invented": 0.0,
@@ -101,6 +102,7 @@ def solidify(name: str, vertices: np.ndarray, faces: np.ndarray) -> Solid:
     if report["bodies_before"] > 1 or not is_solid(vertices, faces):
         vertices, faces, changes = _repaired(name, vertices, faces)
         report |= changes
+    vertices, faces, report["voids_filled"] = voids.filled(vertices, faces)
     volume, area = measures.signed_volume(vertices, faces), measures.face_areas(vertices, faces).sum()
     if 2 * volume / area < _THINNEST * longest:
         raise SolidError(_sheet_message(name))

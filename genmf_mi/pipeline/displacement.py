@@ -17,14 +17,12 @@ from genmf_mi.core.progress import Progress
 from genmf_mi.losses.perceptual import features, lpips
 from genmf_mi.pipeline.detail import span
 from genmf_mi.pipeline.evaluator import Evaluator
-from genmf_mi.pipeline.problem import RefinementProblem
+from genmf_mi.pipeline.problem import ONE_BRIGHTNESS, RefinementProblem
 
 AMPLITUDES = (-1.0, -0.5, -0.25, 0.25, 0.5, 1.0)
 """Shares of the cap; positive raises what is bright."""
 SAMPLES = 4
 """Rays per pixel of the images by which amplitudes are compared."""
-SMALLEST_CONTRAST = 0.01
-"""Of the encoded albedo; below it the object has one brightness."""
 START, FEW = 0.3, 100
 """Share of the displacement that an optimisation starts from; with fewer iterations, and on a field, which moves more
 slowly, from all of it."""
@@ -43,7 +41,7 @@ def heights(problem: RefinementProblem, amplitude: float) -> np.ndarray:
     off at the bounds. An object of one brightness stays as it is."""
     brightness = problem.surface.brightness
     low, high = span(brightness)
-    if high - low < SMALLEST_CONTRAST:
+    if high - low < ONE_BRIGHTNESS:
         return np.zeros(len(brightness))
     brightness = np.clip((brightness - low) / (high - low), 0, 1)
     share = np.clip(2 * amplitude * (brightness - np.median(brightness)), -1, 1)

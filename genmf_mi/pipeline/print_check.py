@@ -30,7 +30,7 @@ from genmf_mi.printing import slicer as slicers
 from genmf_mi.render import scene_file, variant
 from genmf_mi.report.pictures import compose, plastic, write_rows
 
-PICTURE, DEFAULT_PRINTER = "as_printed.png", "fdm-0.2"
+DEFAULT_PRINTER = "fdm-0.2"
 Shapes = Mapping[str, tuple[np.ndarray, np.ndarray]]
 """By name: vertices ``[V,3]`` in the normalised frame and faces ``[F,3]``."""
 LIGHTS = {TWO_LIGHTS: "in even light", LAMPS: "under lamps, with shadows"}

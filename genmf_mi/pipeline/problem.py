@@ -48,6 +48,8 @@ DIRECTIONS: dict[str, tuple[float, float, float]] = {
     "on-right": (-1.0, 0.0, 0.0),
 }
 """What points away from the print bed, by the way of standing."""
+ONE_BRIGHTNESS = 0.01
+"""Range of the encoded albedo below which the object has one brightness."""
 FIELD_SMOOTHING = 11.0
 """λ of a field over that of a mesh whose edges are as long as a cell; a field has four neighbours instead of six, and
 the surface out of it bears no finer relief than its cells."""
@@ -149,7 +151,7 @@ def build_problem(
         timer.lap("extract")
     else:
         progress.stage("making it solid")
-        body = solid.solidify(asset.name, asset.vertices, asset.faces)
+        body = solid.solidify(asset.name, asset.vertices, asset.matter)
         timer.lap("solid")
         progress.stage("meshing")
         body = mesh_finely(asset, body, config)
@@ -160,6 +162,11 @@ def build_problem(
     up = DIRECTIONS.get(config.stand, DIRECTIONS["upright"])
     frame = Frame.of(body.vertices, config.size_mm).standing(np.array(up))
     surface, training, evaluation = build_scenes(asset, body, frame, config, xml, folder, pictures)
+    if not references and np.ptp(surface.brightness) < ONE_BRIGHTNESS:
+        raise AssetError(
+            f"the texture of {asset.name} has one brightness all over, so there is nothing for the relief to show. "
+            "Give pictures of it with --reference image.png@azimuth,elevation."
+        )
     low_pass = LowPass(surface.vertices, surface.faces, DETAIL_MM / frame.mm_per_unit)
     broad = low_pass.of(surface.brightness)
     contrast = local_contrast(surface.brightness, broad)

@@ -23,6 +23,7 @@ from genmf_mi.assets.sdf_asset import SdfAsset
 from genmf_mi.core import memory
 from genmf_mi.core.config import RefineConfig
 from genmf_mi.core.errors import ConfigError, OutputError, SetupError
+from genmf_mi.core.files import locked
 from genmf_mi.core.printer import PRINTERS
 from genmf_mi.core.progress import Progress
 from genmf_mi.core.timer import Timer
@@ -37,7 +38,7 @@ from genmf_mi.pipeline.preview import Preview
 from genmf_mi.pipeline.print_check import check_shapes, printer_named
 from genmf_mi.pipeline.problem import RefinementProblem, build_problem, parameterize, standing
 from genmf_mi.pipeline.results import Outcome, Result, conclude, shapes_of
-from genmf_mi.pipeline.run_folder import PREVIEW, RunFolder
+from genmf_mi.pipeline.run_folder import PREVIEW, RunFolder, fingerprint
 from genmf_mi.printing.printed import require_bed
 from genmf_mi.render import scene_file, variant
 from genmf_mi.stress.report import verification
@@ -84,17 +85,17 @@ def refine(
     """
     memory.tune_malloc()
     config, progress, timer = config or RefineConfig(), progress or Progress(), Timer()
-    _require(config, out, resume=resume, print_check=bool(print_check))
+    _require(config, out, (asset, textured, scene, *references), resume=resume, print_check=bool(print_check))
 
-    progress.stage("loading")
-    asset = sources.load(asset, textured)
-    device = variant.use(config.device)
-    lpips_weights.require(*config.networks)
-    xml = Path(scene) if scene else scene_file.find(asset.name)
-    run = RunFolder.open(out, asset.name, config, force=force, resume=resume) if out else None
-    timer.lap("load")
+    with locked(out), tempfile.TemporaryDirectory(prefix="genmf-") as folder:
+        progress.stage("loading")
+        asset = sources.load(asset, textured)
+        device = variant.use(config.device)
+        lpips_weights.require(*config.networks)
+        xml = Path(scene) if scene else scene_file.find(asset.name)
+        run = opened(out, asset, config, xml, references, force=force, resume=resume) if out else None
+        timer.lap("load")
 
-    with tempfile.TemporaryDirectory(prefix="genmf-") as folder:
         problem = build_problem(asset, config, xml, Path(folder), references=references, progress=progress, timer=timer)
         progress.stage("rendering the references")
         evaluator = build_evaluator(problem.evaluation.reference, problem.evaluation.part, config.networks)
@@ -148,8 +149,34 @@ def stood(
     return problem, evaluator, best_displacement(problem, evaluator, progress), stands
 
 
-def _require(config: RefineConfig, out: str | Path | None, *, resume: bool, print_check: bool) -> None:
+def opened(
+    out: str | Path,
+    asset: Asset | SdfAsset,
+    config: RefineConfig,
+    xml: Path,
+    references: tuple[str, ...],
+    *,
+    force: bool,
+    resume: bool,
+) -> RunFolder:
+    """The folder of the run. Raises as :meth:`RunFolder.open`, and :class:`ConfigError` for a file that is missing."""
+    pictures = [Path(text.rpartition("@")[0]) for text in references]
+    if missing := [path for path in (xml, *pictures) if not path.is_file()]:
+        raise ConfigError(f"{missing[0]} does not exist. Check the spelling, or give the full path of the file.")
+    turns = [text.rpartition("@")[2] for text in references]
+    inputs = {"asset": fingerprint(asset), "scene": fingerprint(xml), "references": fingerprint(pictures, turns)}
+    return RunFolder.open(out, asset.name, config, inputs, force=force, resume=resume)
+
+
+def _require(
+    config: RefineConfig, out: str | Path | None, inputs: tuple[Any, ...], *, resume: bool, print_check: bool
+) -> None:
     """Raise :class:`ConfigError` for what cannot be done, before anything is computed."""
+    for given in inputs if out else ():
+        named = (str(given), str(given).rpartition("@")[0]) if isinstance(given, str | Path) else ()
+        for file in map(Path, named):
+            if file.is_file() and file.resolve().is_relative_to(Path(str(out)).resolve()):
+                raise ConfigError(f"{file} lies in {out}, where the results go. Choose another --out.")
     if print_check:
         printer_named(config.printer)
     if resume and out is None:

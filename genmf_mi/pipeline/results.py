@@ -24,9 +24,9 @@ from genmf_mi.mesh.measures import vertex_areas
 from genmf_mi.pipeline.build_direction import Candidate
 from genmf_mi.pipeline.displacement import Displacement
 from genmf_mi.pipeline.evaluator import Evaluator, unseen_views
-from genmf_mi.pipeline.print_check import PICTURE, PrintCheck
+from genmf_mi.pipeline.print_check import PrintCheck
 from genmf_mi.pipeline.problem import RefinementProblem
-from genmf_mi.pipeline.run_folder import RunFolder
+from genmf_mi.pipeline.run_folder import AS_PRINTED, BEFORE_AFTER, REPORT, RunFolder
 from genmf_mi.render import bridge
 from genmf_mi.render.exr import write_buffers
 from genmf_mi.report import Report, View, write_before_after, write_report
@@ -258,9 +258,9 @@ def write_pictures(
         )
         for i, view in enumerate(scorer.views)
     ]
-    write_before_after(folder / "before_after.png", views, problem.asset.name)
+    write_before_after(folder / BEFORE_AFTER, views, problem.asset.name)
     if outcome.printed:
-        outcome.printed.write(folder / PICTURE)
+        outcome.printed.write(folder / AS_PRINTED)
     report = Report(
         title=problem.asset.name,
         views=views,
@@ -279,7 +279,7 @@ def write_pictures(
         as_printed=outcome.printed.rows if outcome.printed else {},
         as_printed_names=outcome.printed.names if outcome.printed else [],
     )
-    write_report(folder / "report.html", report)
+    write_report(folder / REPORT, report)
     if save_exr:
         for name, shape in buffers.items():
             write_buffers(folder / "exr" / name, scorer.views, shape)

@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+import numpy as np
+
 from genmf_mi.core.config import RefineConfig
 from genmf_mi.core.errors import ConfigError, OutputError
-from genmf_mi.core.files import claim_folder, write_text
+from genmf_mi.core.files import claim_folder, sweep, write_text
+from genmf_mi.fabrication.files import COLOURED_GLB, PRINT_3MF, PRINT_STL
 
 if TYPE_CHECKING:
     from genmf_mi.pipeline.checkpoint import Checkpoint
 
 CONFIG, HISTORY, CHECKPOINT, METRICS = "config.yaml", "metrics.jsonl", "checkpoint.pt", "metrics.json"
-PREVIEW = "preview.png"
+PREVIEW, BEFORE_AFTER, REPORT, AS_PRINTED = "preview.png", "before_after.png", "report.html", "as_printed.png"
+FILES = (
+    CONFIG, HISTORY, CHECKPOINT, METRICS, PREVIEW, BEFORE_AFTER, REPORT, AS_PRINTED, PRINT_3MF, PRINT_STL, COLOURED_GLB,
+)  # fmt: skip
+"""All that a run writes into its folder; ``exr`` is a folder of more."""
 
 
 @dataclass(frozen=True)
@@ -31,19 +39,35 @@ class RunFolder:
     path: Path
 
     @classmethod
-    def open(cls, path: str | Path, asset: str, config: RefineConfig, *, force: bool, resume: bool) -> RunFolder:
+    def open(
+        cls,
+        path: str | Path,
+        asset: str,
+        config: RefineConfig,
+        inputs: Mapping[str, str] | None = None,
+        *,
+        force: bool,
+        resume: bool,
+    ) -> RunFolder:
         """Claim a folder for a new run, or an interrupted one for its continuation.
 
+        inputs: what the run depends on besides its settings, as :func:`fingerprint` by name.
+
         Raises:
-            OutputError: the folder holds a run already, cannot be written to, or has nothing to resume.
-            ConfigError: the run to resume was started with other settings or another asset.
+            OutputError: the folder holds a run already, or files of somebody else that the run would replace, cannot be
+                written to, or has nothing to resume.
+            ConfigError: the run to resume was started with other settings, another asset or other inputs.
         """
         import yaml
 
         folder = cls(Path(path))
-        settings: dict[str, Any] = {"asset": asset, **config.to_dict()}
+        settings: dict[str, Any] = {"asset": asset, **config.to_dict(), "inputs": dict(inputs or {})}
         # Settings alone are of a run that failed before it had anything to lose
-        claim_folder(path, "run", finished=(METRICS,), interrupted=(CHECKPOINT,), force=force, resume=resume)
+        claim_folder(
+            path, "run", finished=(METRICS,), interrupted=(CHECKPOINT,), force=force, resume=resume,
+            foreign=() if folder.is_ours else FILES,
+        )  # fmt: skip
+        sweep(path, FILES)
         if resume:
             folder.require(settings)
             return folder
@@ -53,14 +77,25 @@ class RunFolder:
         return folder
 
     @property
+    def is_ours(self) -> bool:
+        """Whether a run has left its settings in the folder."""
+        try:
+            return {"asset", "size_mm", "iterations"} <= set(self.settings())
+        except OutputError:
+            return False
+
+    @property
     def interrupted(self) -> bool:
         """Whether there is a run to resume."""
         return (self.path / CHECKPOINT).exists()
 
     def require(self, settings: dict[str, Any]) -> None:
         """Raise :class:`ConfigError` if the run was started with other ``settings``; the device does not count."""
-        before = self.settings()
+        before, settings = self.settings(), dict(settings)
+        inputs: dict[str, str] = settings.pop("inputs", {})
+        inputs_before: dict[str, str] = before.get("inputs") or {}
         changed = sorted(k for k in settings if before.get(k) != settings[k] and k != "device")
+        changed += [f"content of the {k}" for k in inputs if inputs_before.get(k, inputs[k]) != inputs[k]]
         if changed:
             raise ConfigError(
                 f"the run in {self.path} was started with another {', '.join(changed)}. Use the same, another --out, "
@@ -127,3 +162,27 @@ class RunFolder:
         if not metrics.get("interrupted"):
             (self.path / CHECKPOINT).unlink(missing_ok=True)
         (self.path / PREVIEW).unlink(missing_ok=True)
+
+
+def fingerprint(*things: Any) -> str:
+    """A hash of the content of files, arrays, and of dataclasses of them; names and places of files do not count."""
+    content = sha256()
+    _add(content, things)
+    return content.hexdigest()[:16]
+
+
+def _add(content: Any, thing: Any) -> None:
+    if isinstance(thing, np.ndarray):
+        array = cast("np.ndarray[Any, np.dtype[Any]]", thing)
+        content.update(f"{array.dtype}{array.shape}".encode() + np.ascontiguousarray(array).tobytes())
+    elif isinstance(thing, Path):
+        content.update(thing.read_bytes())
+    elif is_dataclass(thing):
+        for field in fields(thing):
+            if field.name not in ("name", "source", "report"):
+                _add(content, getattr(thing, field.name))
+    elif isinstance(thing, (tuple, list)):
+        for one in cast("Sequence[Any]", thing):
+            _add(content, one)
+    else:
+        content.update(repr(thing).encode())

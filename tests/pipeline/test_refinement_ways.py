@@ -10,7 +10,7 @@ import pytest
 import torch
 from PIL import Image
 from toy_runs import CONFIG, Recorder, difference_mm, ellipsoid
-from toys import stripes
+from toys import painted, stripes
 
 import genmf_mi
 from genmf_mi.assets.asset import Asset
@@ -172,6 +172,13 @@ class TestRefusedBeforeTheWork:
         (tmp_path / "file").touch()
         with pytest.raises(OutputError, match=r"cannot (read|write)"):
             genmf_mi.refine(toy, CONFIG, out=tmp_path / "file")
+
+    def test_an_asset_within_the_results(self, tmp_path):
+        mine = painted(tmp_path / "refined.glb")
+        before = (tmp_path / "refined.glb").read_bytes()
+        with pytest.raises(ConfigError, match="where the results go"):
+            genmf_mi.refine(mine, CONFIG, out=tmp_path, force=True)
+        assert (tmp_path / "refined.glb").read_bytes() == before
 
     def test_no_such_asset(self):
         with pytest.raises(AssetError, match=r"nowhere\.glb"):

@@ -14,7 +14,7 @@ import numpy as np
 
 from genmf_mi.assets.albedo import CLAMP, MIRROR, REPEAT, Material, Texture
 from genmf_mi.assets.formats.gltf_data import GltfData
-from genmf_mi.assets.part import Part, decode_image
+from genmf_mi.assets.part import Part, decode_alpha, decode_image
 from genmf_mi.core.errors import AssetError
 
 _WRAP = {10497: REPEAT, 33071: CLAMP, 33648: MIRROR}
@@ -139,10 +139,22 @@ class _Reader:
         glossy = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness")
         if glossy is not None:
             factor, image = glossy.get("diffuseFactor", [1, 1, 1, 1]), glossy.get("diffuseTexture")
+        light = material.get("emissiveTexture")
+        if image is None and light is not None and any(material.get("emissiveFactor", [0, 0, 0])):
+            # Shadeless scans have their picture there, on a base of one colour
+            factor, image = [*material["emissiveFactor"], 1], light
+        mode = material.get("alphaMode", "OPAQUE")
+        cutoff = {"MASK": float(material.get("alphaCutoff", 0.5)), "BLEND": 0.5}.get(mode)
         red, green, blue = map(float, factor[:3])
+        opacity = float(factor[3]) if len(factor) > 3 else 1.0
         if image is None:
-            return Material((red, green, blue)), 0
+            return Material((red, green, blue), None, cutoff, opacity), 0
         transform = image.get("extensions", {}).get("KHR_texture_transform", {})
+        texture = self._texture(image, transform, transparent=cutoff is not None)
+        uv_set = transform.get("texCoord", image.get("texCoord", 0))
+        return Material((red, green, blue), texture, cutoff, opacity), uv_set
+
+    def _texture(self, image: dict, transform: dict, *, transparent: bool) -> Texture:
         entry = self.tree["textures"][image["index"]]
         source = entry.get("extensions", {}).get("EXT_texture_webp", entry).get("source", entry.get("source"))
         if source is None:
@@ -150,15 +162,19 @@ class _Reader:
         sampler = self.tree["samplers"][entry["sampler"]] if "sampler" in entry else {}
         along_u, along_v = (_WRAP[sampler.get(key, 10497)] for key in ("wrapS", "wrapT"))
         nearest = sampler.get("magFilter") == 9728
-        texture = Texture(self.image(source), (along_u, along_v), nearest, _uv_transform(transform))
-        return Material((red, green, blue), texture), transform.get("texCoord", image.get("texCoord", 0))
+        pixels = self.image(source)
+        alpha = decode_alpha(self.image_file(source)) if transparent else None
+        return Texture(pixels, (along_u, along_v), nearest, _uv_transform(transform), alpha)
 
     def image(self, index: int) -> np.ndarray:
         if index not in self.images:
-            image = self.tree["images"][index]
-            data = self.data.view(image["bufferView"]) if "bufferView" in image else self.data.resource(image["uri"])
-            self.images[index] = decode_image(bytes(data), image.get("name") or f"number {index} in {self.path}")
+            name = self.tree["images"][index].get("name") or f"number {index} in {self.path}"
+            self.images[index] = decode_image(self.image_file(index), name)
         return self.images[index]
+
+    def image_file(self, index: int) -> bytes:
+        image = self.tree["images"][index]
+        return bytes(self.data.view(image["bufferView"]) if "bufferView" in image else self.data.resource(image["uri"]))
 
 
 def _matrix(node: dict) -> np.ndarray:

@@ -22,7 +22,7 @@ def sdf_from_mesh(asset: Asset, samples: int = 129, progress: Progress | None = 
     """
     progress = progress or Progress()
     progress.stage("making it solid")
-    solid = solidify(asset.name, asset.vertices, asset.faces)
+    solid = solidify(asset.name, asset.vertices, asset.matter)
     progress.stage(f"measuring distances on {samples}³ samples")
     frame = Frame.of(solid.vertices, size_mm=1.0)
     vertices = frame.normalise(solid.vertices)

@@ -25,7 +25,7 @@ from genmf_mi.stress.fem.statistics import SURFACE_BAND_MM
 from genmf_mi.stress.fem.tet_mesh import TetMesh, largest_component
 from genmf_mi.stress.fem.tetrahedra import isosurface_stuffing
 
-FINEST, MOST_NODES = 0.025 * 2 * HALF_EXTENT, 20_000
+FINEST, MOST_NODES = 0.025 * 2 * HALF_EXTENT, 15_000
 """Edge of the mesh in normalised units, 2.5 mm of 100; and nodes from which on it is longer, so that a look takes two
 seconds."""
 LOOK_TOLERANCE = 1e-5
