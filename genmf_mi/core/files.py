@@ -41,15 +41,15 @@ def claim_folder(
     folder = Path(folder)
     try:
         unfinished, complete = (any((folder / name).exists() for name in names) for names in (interrupted, finished))
+        if resume:
+            if not unfinished:
+                raise OutputError(f"{folder} holds no interrupted {what}. Start one without --resume.")
+            return
         if theirs := [name for name in foreign if os.path.lexists(folder / name)]:
             raise OutputError(
                 f"{folder} holds {theirs[0]}, which no {what} has left there and which would be replaced. "
                 "Choose another --out."
             )
-        if resume:
-            if not unfinished:
-                raise OutputError(f"{folder} holds no interrupted {what}. Start one without --resume.")
-            return
         if (unfinished or complete) and not force:
             state, hint = ("an interrupted", " --resume to continue it,") if unfinished else ("a finished", "")
             raise OutputError(f"{folder} holds {state} {what}. Use{hint} --force to replace it, or another --out.")

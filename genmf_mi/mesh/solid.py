@@ -56,8 +56,8 @@ def solidify(name: str, vertices: np.ndarray, faces: np.ndarray) -> Solid:
     """Make one closed manifold of arbitrary triangles, changing as little as possible.
 
     Seams are welded, duplicate and collapsed faces removed, all faces oriented outwards, small holes capped and
-    overlapping components united. Enclosed cavities are filled, and so are voids that only a pinhole opens. Only if that
-    gives no manifold, the surface is rebuilt from a signed-distance field, 256 cells along the longest side.
+    overlapping components united. Enclosed cavities are filled, and voids that only a pinhole opens. Only if that gives
+    no manifold, the surface is rebuilt from a signed-distance field, 256 cells along the longest side.
 
     Args:
         name: of the asset, for messages.
