@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from pickle import UnpicklingError
 from typing import Any, cast
 
 import torch
@@ -59,7 +58,7 @@ class Checkpoint:
         """
         try:
             return cls._from_dict(torch.load(path, map_location="cpu", weights_only=True))
-        except (OSError, RuntimeError, KeyError, ValueError, TypeError, EOFError, UnpicklingError) as error:
+        except Exception as error:  # damaged files make the reader raise anything at all
             raise OutputError(f"the checkpoint in {path.parent} is damaged. Start again with --force.") from error
 
     @classmethod
@@ -70,6 +69,8 @@ class Checkpoint:
         content = cast(dict[str, Any], values)
         if not (isinstance(content["iteration"], int) and isinstance(content["optimiser"], dict)):
             raise TypeError("not a checkpoint")
+        if not all(bool(torch.isfinite(parameter).all()) for parameter in content["parameters"]):
+            raise ValueError("values that are not numbers")
         stage_one = content["stage_one"]
         content["stage_one"] = None if stage_one is None else cls._from_dict(stage_one)
         return cls(**content)

@@ -108,7 +108,7 @@ class RunFolder:
 
         try:
             settings = yaml.safe_load((self.path / CONFIG).read_text(encoding="utf-8"))
-        except (OSError, ValueError, yaml.YAMLError) as error:
+        except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
             raise OutputError(f"{self.path / CONFIG} cannot be read. Start again with --force.") from error
         if not isinstance(settings, dict):
             raise OutputError(f"{self.path / CONFIG} holds no settings. Start again with --force.")
@@ -124,7 +124,7 @@ class RunFolder:
             return None
         try:
             metrics = json.loads((self.path / METRICS).read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, RecursionError) as error:
             raise OutputError(f"{self.path / METRICS} cannot be read. Start again with --force.") from error
         if not isinstance(metrics, dict):
             raise OutputError(f"{self.path / METRICS} holds no metrics. Start again with --force.")
@@ -150,7 +150,7 @@ class RunFolder:
             lines = (self.path / HISTORY).read_text(encoding="utf-8").splitlines()[: checkpoint.iteration]
             history = [json.loads(line) for line in lines]
             complete = [line["iteration"] for line in history] == list(range(checkpoint.iteration))
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             raise OutputError(f"{self.path / HISTORY} is damaged. Start again with --force.") from error
         if not complete:
             raise OutputError(f"{self.path / HISTORY} does not match the checkpoint. Start again with --force.")

@@ -151,3 +151,37 @@ class TestRefusals:
         SdfAsset("a", phi)
         with pytest.raises(AssetError, match=message):
             SdfAsset("a", **({"phi": phi} | change))
+
+
+class TestDamage:
+    """Arrays of other types and shapes than a generator would write are refused, and large ones before they unpack."""
+
+    @pytest.mark.parametrize(
+        "arrays",
+        [
+            {"sdf": np.array(["a", "b"])},
+            {"sdf": np.zeros((2, 3), dtype=bool)},
+            {"sdf": np.zeros(0)},
+            {"phi": np.array("text")},
+            {"phi": np.zeros((3, 3, 3), dtype=complex)},
+            {"phi": np.zeros((3, 4, 5)), "centre": np.array(["x", "y", "z"])},
+            {"coords": np.zeros((4, 4), dtype=int), "feats": np.array(["x"] * 4)},
+            {"coords": np.full((4, 4), 10**9), "feats": np.zeros((4, 101))},
+            {"coords": np.zeros(4), "feats": np.zeros(4)},
+        ],
+    )
+    def test_other_arrays(self, tmp_path, arrays):
+        np.savez(tmp_path / "bad.npz", **arrays)
+        with pytest.raises(AssetError, match=r"bad"):
+            files.load(tmp_path / "bad.npz")
+
+    def test_integers_in_a_pt(self, tmp_path):
+        torch.save({"sdf": torch.zeros(25**3, dtype=torch.int64), "scale": 3}, tmp_path / "bad.pt")
+        with pytest.raises(AssetError, match=r"bad\.pt"):
+            files.load(tmp_path / "bad.pt")
+
+    def test_more_than_a_shape_needs(self, tmp_path, monkeypatch):
+        monkeypatch.setattr(files, "LARGEST", 10_000)
+        np.savez_compressed(tmp_path / "bomb.npz", sdf=np.zeros(10_000))
+        with pytest.raises(AssetError, match="unpacks to"):
+            files.load(tmp_path / "bomb.npz")

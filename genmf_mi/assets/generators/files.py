@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 FORMATS = (".npz", ".safetensors", ".pt")
 """Suffixes that :func:`load` reads and, but for ``.pt``, :func:`save` writes."""
 
+LARGEST = 1024**3
+"""Bytes of all arrays in a file."""
 _PICKLED = "holds pickled objects, which could run code when read. Save plain arrays only, see docs/generators.md."
 _MAX_DISTANCE = 0.05
 """Mean distance, as a share of the longest side, up to which a textured mesh is taken for the same object."""
@@ -44,6 +46,15 @@ def load(path: str | Path, textured: str | Path | Asset | None = None) -> SdfAss
     """
     path = Path(path)
     arrays = read(path)
+    try:
+        return _built(path, arrays, textured)
+    except (AttributeError, IndexError, KeyError, OverflowError, TypeError, ValueError) as error:
+        raise AssetError(
+            f"the arrays in {path} do not describe a shape ({type(error).__name__}: {error}). See docs/generators.md."
+        ) from error
+
+
+def _built(path: Path, arrays: dict[str, np.ndarray], textured: str | Path | Asset | None) -> SdfAsset:
     if "coords" in arrays and "feats" in arrays:
         rotation = trellis.TO_Y_UP
         resolution = int(_scalar(path, arrays, "resolution", trellis.RESOLUTION))
@@ -108,6 +119,8 @@ def read(path: str | Path) -> dict[str, np.ndarray]:
         raise AssetError(
             f"{path} cannot be read as {suffix[1:].upper()} ({type(error).__name__}: {error}). Write it again."
         ) from error
+    if odd := [key for key, array in arrays.items() if array.dtype.kind not in "fiub"]:
+        raise AssetError(f"{path}: {odd[0]} holds no real numbers but {arrays[odd[0]].dtype}. See docs/generators.md.")
     return {key: array.astype(np.float32) if array.dtype == np.float16 else array for key, array in arrays.items()}
 
 
@@ -142,6 +155,10 @@ def save(shape: SdfAsset, path: str | Path) -> Path:
 def _read_npz(path: Path) -> dict[str, np.ndarray]:
     if not zipfile.is_zipfile(path):
         raise AssetError(f"{path} is not an NPZ file. Write it with numpy.savez_compressed.")
+    with zipfile.ZipFile(path) as archive:
+        size = sum(member.file_size for member in archive.infolist())
+    if size > LARGEST:
+        raise AssetError(f"{path} unpacks to {size / 1024**3:.1f} GB. Save the arrays of one shape only.")
     with np.load(path, allow_pickle=False) as members:
         try:
             return {key: members[key] for key in members.files}
