@@ -12,7 +12,7 @@ import numpy as np
 from genmf_mi.assets.albedo import Albedo, Material, Texture
 from genmf_mi.assets.overlays import Overlay, outermost, split
 from genmf_mi.assets.part import Part, join
-from genmf_mi.core.errors import AssetError, GenmfError
+from genmf_mi.core.errors import AssetError, ConfigError, GenmfError
 from genmf_mi.mesh.nearest import Nearest, barycentric
 
 FORMATS = (".glb", ".gltf", ".obj", ".ply", ".3mf", ".stl")
@@ -21,7 +21,15 @@ FORMATS = (".glb", ".gltf", ".obj", ".ply", ".3mf", ".stl")
 LARGEST_COORDINATE, FARTHEST = 1e15, 1e5
 """Of a vertex, in file units; and extent of an asset over that of all of it but a hundredth."""
 _UP = {".3mf": "z", ".stl": "z"}
-_Z_UP_TO_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+_TO_Y_UP = {
+    "x": [[0, -1, 0], [1, 0, 0], [0, 0, 1]],
+    "-x": [[0, 1, 0], [-1, 0, 0], [0, 0, 1]],
+    "y": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    "-y": [[-1, 0, 0], [0, -1, 0], [0, 0, 1]],
+    "z": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+    "-z": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
+}
+"""Rotations that take an axis of a file to y."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +169,8 @@ def load(path: str | Path, up: str | None = None) -> Asset:
     (COLOR_0) linear; every colour of the other formats is taken as sRGB-encoded, as their writers mean them.
 
     Args:
-        up: ``y`` or ``z``, the axis of the file that points upwards; None takes z for 3MF and STL and y otherwise.
+        up: ``x``, ``-x``, ``y``, ``-y``, ``z`` or ``-z``, the axis of the file that points upwards; None takes z for
+            3MF and STL and y otherwise.
 
     Raises:
         AssetError: the file is missing, damaged, of an unknown kind, or holds no mesh; or a texture is missing.
@@ -184,8 +193,13 @@ def load(path: str | Path, up: str | None = None) -> Asset:
             f"{path} cannot be read as {suffix[1:].upper()} ({type(error).__name__}: {error}). "
             "Download or export it again."
         ) from error
-    if (up or _UP.get(suffix, "y")) == "z":
-        parts = [part.transformed(_Z_UP_TO_Y_UP) for part in parts]
+    axis = up or _UP.get(suffix, "y")
+    if axis not in _TO_Y_UP:
+        raise ConfigError(f"{axis} is no axis that could point upwards: choose one of {', '.join(_TO_Y_UP)}.")
+    if axis != "y":
+        turn = np.eye(4)
+        turn[:3, :3] = _TO_Y_UP[axis]
+        parts = [part.transformed(turn) for part in parts]
     return Asset._from_parts(path.stem, parts, path)
 
 

@@ -16,11 +16,14 @@ SDF_SUFFIX = "_sdf"
 """Appended to the name of a bundled sample, it names that sample converted to Φ on a grid."""
 
 
-def load(source: str | Path | Asset | SdfAsset, textured: str | Path | Asset | None = None) -> Asset | SdfAsset:
+def load(
+    source: str | Path | Asset | SdfAsset, textured: str | Path | Asset | None = None, up: str | None = None
+) -> Asset | SdfAsset:
     """The mesh, or the shape as Φ if ``source`` is a generator's file or a sample's name with ``_sdf`` appended.
 
     Args:
         textured: the mesh with the colours of a generator's file.
+        up: the axis of a mesh's file that points upwards, see :func:`genmf_mi.assets.asset.load`.
 
     Raises:
         AssetError: as :func:`genmf_mi.assets.asset.load` and :func:`genmf_mi.assets.generators.files.load`; or
@@ -36,7 +39,7 @@ def load(source: str | Path | Asset | SdfAsset, textured: str | Path | Asset | N
         mesh = meshes.load(samples.resolve(str(source).removesuffix(SDF_SUFFIX)))
         asset = replace(from_mesh.sdf_from_mesh(mesh), name=str(source))
     else:
-        asset = meshes.load(samples.resolve(source))
+        asset = meshes.load(samples.resolve(source), up)
     if textured is not None:
         raise AssetError(f"{asset.name} has its own colours: --textured is for the files of generators.")
     return asset

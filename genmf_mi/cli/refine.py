@@ -27,6 +27,8 @@ class RefineArguments:
     PT file of a generator (docs/generators.md), or the name of a sample with _sdf behind it."""
     textured: Path | None = None
     """The mesh that has the colours of a generator's file."""
+    up: Literal["auto", "x", "-x", "y", "-y", "z", "-z"] = "auto"
+    """The axis of the file that points upwards (--up=-z with the sign); auto: z for 3MF and STL, y otherwise."""
     out: Path | None = None
     """Folder for the results; runs/NAME if not given."""
     preset: Literal["draft", "default", "paper"] = "default"
@@ -55,6 +57,7 @@ class RefineArguments:
         """What :func:`genmf_mi.pipeline.refinement.refine` takes as keywords besides folder and progress."""
         return {
             "textured": self.textured,
+            "up": None if self.up == "auto" else self.up,
             "scene": self.scene,
             "references": tuple(self.reference),
             "save_exr": self.save_exr,

@@ -13,7 +13,7 @@ from PIL import Image
 from genmf_mi.assets import asset
 from genmf_mi.assets.asset import Asset
 from genmf_mi.core.colour import bytes_to_linear, to_linear
-from genmf_mi.core.errors import AssetError
+from genmf_mi.core.errors import AssetError, ConfigError
 
 TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], dtype=np.float64)
 
@@ -64,6 +64,25 @@ def test_stl_is_z_up_unless_told_otherwise(tmp_path):
     found = asset.load(tmp_path / "a.stl")
     assert trimesh.Trimesh(found.vertices, found.faces).volume == pytest.approx(10)
     assert not found.textured
+
+
+@pytest.mark.parametrize("up", ["x", "-x", "y", "-y", "z", "-z"])
+def test_any_axis_may_point_upwards(tmp_path, up):
+    """A tower whose top, a tetrahedron, is at that end; the faces stay outwards."""
+    direction = np.array([up.endswith(axis) for axis in "xyz"]) * (-1.0 if up.startswith("-") else 1.0)
+    tower = trimesh.creation.cone(1.0, 4.0, sections=8)
+    tower.apply_transform(trimesh.geometry.align_vectors([0, 0, 1], direction))
+    tower.export(tmp_path / "a.obj")
+    found = asset.load(tmp_path / "a.obj", up=up)
+    assert np.ptp(found.vertices[:, 1]) == pytest.approx(4, abs=1e-5)
+    assert found.vertices[:, 1].mean() < np.ptp(found.vertices[:, 1]) / 2 + found.vertices[:, 1].min()
+    assert trimesh.Trimesh(found.vertices, found.faces).volume == pytest.approx(tower.volume, rel=1e-5)
+
+
+def test_no_such_axis(tmp_path):
+    ball().export(tmp_path / "a.obj")
+    with pytest.raises(ConfigError, match="no axis"):
+        asset.load(tmp_path / "a.obj", up="w")
 
 
 def test_sixteen_bit_and_palette_pictures(tmp_path):
