@@ -60,7 +60,8 @@ def claim_folder(
 
 @contextmanager
 def locked(folder: str | Path | None, what: str = "run") -> Iterator[None]:
-    """Have ``folder`` to oneself; it is made, and removed again if nothing was put into it. None locks nothing.
+    """Have ``folder`` to oneself; it is made, and removed again with the parents that it
+    lacked, if nothing was put into it. None locks nothing.
 
     Raises:
         OutputError: another process has it, or it cannot be written to.
@@ -69,6 +70,7 @@ def locked(folder: str | Path | None, what: str = "run") -> Iterator[None]:
         yield
         return
     folder = Path(folder)
+    made = [place for place in (folder, *folder.parents) if not place.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         handle = (folder / LOCK).open("a")
@@ -82,7 +84,8 @@ def locked(folder: str | Path | None, what: str = "run") -> Iterator[None]:
         finally:
             (folder / LOCK).unlink(missing_ok=True)
             with suppress(OSError):  # there is something in it
-                folder.rmdir()
+                for place in made:
+                    place.rmdir()
 
 
 def _lock(handle: IO[str]) -> bool:

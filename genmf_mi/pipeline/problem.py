@@ -162,11 +162,6 @@ def build_problem(
     up = DIRECTIONS.get(config.stand, DIRECTIONS["upright"])
     frame = Frame.of(body.vertices, config.size_mm).standing(np.array(up))
     surface, training, evaluation = build_scenes(asset, body, frame, config, xml, folder, pictures)
-    if not references and np.ptp(surface.brightness) < ONE_BRIGHTNESS:
-        raise AssetError(
-            f"the texture of {asset.name} has one brightness all over, so there is nothing for the relief to show. "
-            "Give pictures of it with --reference image.png@azimuth,elevation."
-        )
     low_pass = LowPass(surface.vertices, surface.faces, DETAIL_MM / frame.mm_per_unit)
     broad = low_pass.of(surface.brightness)
     contrast = local_contrast(surface.brightness, broad)

@@ -22,7 +22,7 @@ from genmf_mi.assets.asset import Asset
 from genmf_mi.assets.sdf_asset import SdfAsset
 from genmf_mi.core import memory
 from genmf_mi.core.config import RefineConfig
-from genmf_mi.core.errors import ConfigError, OutputError, SetupError
+from genmf_mi.core.errors import AssetError, ConfigError, OutputError, SetupError
 from genmf_mi.core.files import locked
 from genmf_mi.core.printer import PRINTERS
 from genmf_mi.core.progress import Progress
@@ -36,7 +36,7 @@ from genmf_mi.pipeline.evaluator import Evaluator, build_evaluator
 from genmf_mi.pipeline.optimisation import ExtraTerms, Optimisation, iterations, optimise
 from genmf_mi.pipeline.preview import Preview
 from genmf_mi.pipeline.print_check import check_shapes, printer_named
-from genmf_mi.pipeline.problem import RefinementProblem, build_problem, parameterize, standing
+from genmf_mi.pipeline.problem import ONE_BRIGHTNESS, RefinementProblem, build_problem, parameterize, standing
 from genmf_mi.pipeline.results import Outcome, Result, conclude, shapes_of
 from genmf_mi.pipeline.run_folder import PREVIEW, RunFolder, fingerprint
 from genmf_mi.printing.printed import require_bed
@@ -99,11 +99,11 @@ def refine(
         timer.lap("load")
 
         problem = build_problem(asset, config, xml, Path(folder), references=references, progress=progress, timer=timer)
+        _require_detail(problem)
         progress.stage("rendering the references")
         evaluator = build_evaluator(problem.evaluation.reference, problem.evaluation.part, config.networks)
         displacement = best_displacement(problem, evaluator, progress)
         problem, evaluator, displacement, stands = stood(problem, evaluator, displacement, config, progress)
-        require_bed(problem.frame.to_print(problem.surface.vertices), PRINTERS[config.printer])
         parameterization = parameterize(problem, config, device)
         timer.lap("displacement")
 
@@ -137,13 +137,16 @@ def stood(
     progress: Progress,
 ) -> tuple[RefinementProblem, Evaluator, Displacement, list[Candidate]]:
     """The same for the best way to stand on the print bed, if that is asked for, and all that were looked at, the best
-    one first."""
+    one first. Raises :class:`ConfigError` if the part does not fit the printer."""
+    printer = PRINTERS[config.printer]
     if config.stand != "best":
+        require_bed(problem.frame.to_print(problem.surface.vertices), printer)
         return problem, evaluator, displacement, []
     progress.stage("looking for the best way to stand")
-    stands = build_direction.choose(problem, evaluator, displacement.heights, PRINTERS[config.printer])
+    stands = build_direction.choose(problem, evaluator, displacement.heights, printer)
     best = stands[0]
-    if best.cost is None or best.up == problem.frame.up:
+    require_bed(problem.frame.standing(np.array(best.up)).to_print(problem.surface.vertices), printer)
+    if best.up == problem.frame.up:
         return problem, evaluator, displacement, stands
     problem = standing(problem, best.up, config)
     pair, vertices = problem.evaluation, torch.as_tensor(problem.surface.vertices, dtype=torch.float32)
@@ -161,10 +164,8 @@ def opened(
     force: bool,
     resume: bool,
 ) -> RunFolder:
-    """The folder of the run. Raises as :meth:`RunFolder.open`, and :class:`ConfigError` for a file that is missing."""
+    """The folder of the run. Raises as :meth:`RunFolder.open`; files that are missing are missed later."""
     pictures = [Path(text.rpartition("@")[0]) for text in references]
-    if missing := [path for path in (xml, *pictures) if not path.is_file()]:
-        raise ConfigError(f"{missing[0]} does not exist. Check the spelling, or give the full path of the file.")
     turns = [text.rpartition("@")[2] for text in references]
     inputs = {"asset": fingerprint(asset), "scene": fingerprint(xml), "references": fingerprint(pictures, turns)}
     return RunFolder.open(out, asset.name, config, inputs, force=force, resume=resume)
@@ -183,6 +184,15 @@ def _require(
         printer_named(config.printer)
     if resume and out is None:
         raise ConfigError("there is nothing to resume without an output folder: give --out.")
+
+
+def _require_detail(problem: RefinementProblem) -> None:
+    """Raise :class:`AssetError` for a texture of one brightness, of which no relief would come."""
+    if not problem.training.reference.pictures and np.ptp(problem.surface.brightness) < ONE_BRIGHTNESS:
+        raise AssetError(
+            f"the texture of {problem.asset.name} has one brightness all over, so there is nothing for the relief to "
+            "show. Give pictures of it with --reference image.png@azimuth,elevation."
+        )
 
 
 def refined(

@@ -165,7 +165,8 @@ class RunFolder:
 
 
 def fingerprint(*things: Any) -> str:
-    """A hash of the content of files, arrays, and of dataclasses of them; names and places of files do not count."""
+    """A hash of the content of files, arrays, and of dataclasses of them. Names and places of files do not count, nor
+    do files that are missing."""
     content = sha256()
     _add(content, things)
     return content.hexdigest()[:16]
@@ -176,7 +177,7 @@ def _add(content: Any, thing: Any) -> None:
         array = cast("np.ndarray[Any, np.dtype[Any]]", thing)
         content.update(f"{array.dtype}{array.shape}".encode() + np.ascontiguousarray(array).tobytes())
     elif isinstance(thing, Path):
-        content.update(thing.read_bytes())
+        content.update(thing.read_bytes() if thing.is_file() else b"")
     elif is_dataclass(thing):
         for field in fields(thing):
             if field.name not in ("name", "source", "report"):

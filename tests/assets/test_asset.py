@@ -109,7 +109,7 @@ def test_sixteen_bit_and_palette_pictures(tmp_path):
         ("old.gltf", b'{"asset": {"version": "1.0"}}', "glTF 1"),
         ("none.gltf", b'{"asset": {"version": "2.0"}}', "holds no triangles"),
         ("broken.gltf", b'{"asset": {"version": "2.0"}, "nodes": [{"mesh": 3}]}', "cannot be read as GLTF"),
-        ("zip.3mf", b"PK\x03\x04 nothing more", "is no 3MF file"),
+        ("zip.3mf", b"PK\x03\x04 nothing more", "cannot be read as 3MF"),
         ("short.stl", b"\0" * 90, r"short\.stl"),
         ("points.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
          b"property float z\nend_header\n0 0 0\n", "holds no triangles"),

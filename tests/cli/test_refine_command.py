@@ -51,7 +51,7 @@ class TestSettings:
     def test_defaults(self, chosen):
         asset, config, options = chosen("bus.glb")
         assert (asset, config) == ("bus.glb", RefineConfig())
-        assert options == {"out": Path("runs/bus"), "textured": None, "scene": None, "references": (),
+        assert options == {"out": Path("runs/bus"), "textured": None, "up": None, "scene": None, "references": (),
                            "verify": False, "print_check": False, "force": False, "resume": False,
                            "save_exr": False}  # fmt: skip
 
@@ -89,7 +89,7 @@ class TestSettings:
                                "--force", "--save-exr",
                                "--quiet")  # fmt: skip
         assert options == {"out": Path("here"), "scene": Path("my.xml"), "force": True, "resume": False,
-                           "textured": Path("bus.glb"),
+                           "textured": Path("bus.glb"), "up": None,
                            "references": ("a.png@0,10", "b.png@-90,5"), "verify": True, "print_check": "own",
                            "save_exr": True}  # fmt: skip
         assert chosen("bus.glb", "--resume")[2]["resume"]

@@ -40,7 +40,8 @@ def test_whole(calls, capsys) -> None:
     assert cli.main(["sweep", "toy.glb", "--stress-weight", "0,2", settings, "--force"]) == 0
     ((asset, weights, config, options),) = calls
     assert (asset, weights, config) == ("toy.glb", (0.0, 2.0), replace(PRESETS["draft"], size_mm=80.0))
-    assert options == {"out": Path("runs/toy-sweep"), "force": True, "textured": None, "scene": Path("a b.xml"),
+    assert options == {"out": Path("runs/toy-sweep"), "force": True, "textured": None, "up": None,
+                       "scene": Path("a b.xml"),
                        "references": ("a.png@0,10",), "save_exr": False}  # fmt: skip
     captured = capsys.readouterr()
     text = re.sub(r"\s+", " ", captured.out)

@@ -83,7 +83,7 @@ class TestInterrupted:
         genmf_mi.refine(toy, CONFIG, out=tmp_path / "run", scene=two_views, progress=Recorder(stop=1))
         vertices, faces = ellipsoid()
         other = Asset.from_arrays("toy", vertices * (1, 0.5, 1), faces, colours=stripes(vertices))
-        with pytest.raises(ConfigError, match="another mesh"):
+        with pytest.raises(ConfigError, match="another content of the asset"):
             genmf_mi.refine(other, CONFIG, out=tmp_path / "run", scene=two_views, resume=True)
 
 

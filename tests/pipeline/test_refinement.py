@@ -19,7 +19,7 @@ from toys import stripes
 
 from genmf_mi.assets.asset import load
 from genmf_mi.mesh.nearest import distance_to_surface
-from genmf_mi.stress.penalty import TERMS as STRESS_TERMS
+from genmf_mi.stress.fem.following import MEASURES as STRESS_TERMS
 
 OF_FIELDS = {"sdf_tv", "l_dev", "flexi_weight_reg"}
 SCORES = {"ssim", "lpips_alex", "lpips_vgg", "g_ssim", "g_lpips"}
@@ -75,6 +75,7 @@ class TestFiles:
 
     def test_settings(self, whole):
         settings = yaml.safe_load((whole[0].out / "config.yaml").read_text())
+        assert set(settings.pop("inputs")) == {"asset", "scene", "references"}
         assert settings == {"asset": "toy", **replace(CONFIG, score_vgg=True).to_dict()}
 
     def test_the_report_tells_the_time(self, whole):

@@ -111,7 +111,9 @@ def _member(path: Path, *names: str) -> bytes:
                     with archive.open(name) as stream:
                         return stream.read(LARGEST_MODEL)
     except (zipfile.BadZipFile, NotImplementedError, RuntimeError, OSError):
-        raise AssetError(f"{path} is no 3MF file, or is damaged. Download or export it again.") from None
+        raise AssetError(
+            f"{path} cannot be read as 3MF: it is no archive, or a damaged one. Download or export it again."
+        ) from None
     return b""
 
 

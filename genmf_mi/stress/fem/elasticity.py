@@ -98,7 +98,7 @@ class Equilibrium:
     Args:
         spring: stiffness of the clamp at each node in N/mm, ``[N]``.
         near: of the same cells at nearly the same points, whose multigrid hierarchy serves here too.
-        tolerance: relative residual of the solutions.
+        tolerance: relative residual of the solutions; :data:`TOLERANCE` if None.
     """
 
     def __init__(
@@ -107,9 +107,9 @@ class Equilibrium:
         material: Material,
         spring: np.ndarray,
         near: Equilibrium | None = None,
-        tolerance: float = TOLERANCE,
+        tolerance: float | None = None,
     ) -> None:
-        self._tolerance = tolerance
+        self._tolerance = TOLERANCE if tolerance is None else tolerance
         self.matrix = elements.elastic(*material.lame, spring)
         self._preconditioner = near._preconditioner if near else multigrid(self.matrix, elements.mesh.points)
 

@@ -49,7 +49,7 @@ class Problem:
     Args:
         mesh: in millimetres with z up.
         near: a solved problem of the same cells at nearly the same points, whose solution the solves start from.
-        tolerance: relative residual of the equilibrium.
+        tolerance: relative residual of the equilibrium, see :class:`genmf_mi.stress.fem.elasticity.Equilibrium`.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class Problem:
         material: Material,
         protocol: Protocol,
         near: Problem | None = None,
-        tolerance: float = elasticity.TOLERANCE,
+        tolerance: float | None = None,
     ) -> None:
         self.elements, self._tolerance = near.elements.at(mesh.points) if near else P1(mesh), tolerance
         self.material, self.protocol, self._near = material, protocol, near
