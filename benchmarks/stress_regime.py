@@ -65,7 +65,7 @@ def untouched(path: Path) -> tuple[Simulation, Frame]:
     """The part before any relief, and its frame."""
     asset = sources.load(path)
     assert not isinstance(asset, SdfAsset)
-    body = solid.solidify(asset.name, asset.vertices, asset.faces)
+    body = solid.solidify(asset.name, asset.vertices, asset.matter)
     frame = Frame.of(body.vertices, PRESETS["default"].size_mm)
     return simulated(frame.normalise(body.vertices), body.faces, frame), frame
 

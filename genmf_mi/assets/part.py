@@ -6,11 +6,15 @@ import io
 import struct
 import warnings
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from genmf_mi.assets.albedo import Albedo, Material
 from genmf_mi.core.errors import AssetError
+
+if TYPE_CHECKING:
+    from PIL.ImageFile import ImageFile
 
 LARGEST_PIXELS = 10_000 * 10_000
 """Of a texture: decoding takes up to eight bytes for each."""
@@ -68,9 +72,7 @@ def join(parts: list[Part]) -> tuple[np.ndarray, np.ndarray, Albedo]:
 
 def decode_alpha(data: bytes) -> np.ndarray | None:
     """How opaque an image file is, ``uint8 [H,W]``; None if all of it is. It has been decoded before."""
-    from PIL import Image
-
-    with Image.open(io.BytesIO(data)) as image:
+    with _opened(data) as image:
         if not (image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info):
             return None
         alpha = np.asarray(image.convert("RGBA"))[..., 3]
@@ -90,10 +92,7 @@ def decode_image(data: bytes, name: str) -> np.ndarray:
     from PIL import Image, UnidentifiedImageError
 
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # its limit is below ours
-            opened = Image.open(io.BytesIO(data))
-        with opened as image:
+        with _opened(data) as image:
             width, height = image.size
             if width * height > LARGEST_PIXELS:
                 raise AssetError(f"the texture {name} has {width} × {height} pixels. Scale it down to 8192 × 8192.")
@@ -109,3 +108,11 @@ def decode_image(data: bytes, name: str) -> np.ndarray:
         raise AssetError(
             f"the texture {name} cannot be decoded ({error}). Open it in an image editor and save it as PNG or JPEG."
         ) from error
+
+
+def _opened(data: bytes) -> ImageFile:
+    from PIL import Image
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # its limit is below ours
+        return Image.open(io.BytesIO(data))

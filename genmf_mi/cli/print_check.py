@@ -42,7 +42,7 @@ def print_check(
         check = checks.print_check(
             part, textured, printer=printer, slicer=slicer, size_mm=size_mm, scene=scene, progress=progress
         )
-        picture = out or checks.PartToPrint.of(part).folder / AS_PRINTED
+        picture = out or (part if part.is_dir() else part.parent) / AS_PRINTED
         check.write(picture)
     if json:
         from json import dumps

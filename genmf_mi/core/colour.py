@@ -44,6 +44,11 @@ def bytes_to_linear(encoded: np.ndarray) -> np.ndarray:
     return _BYTES_TO_LINEAR[encoded]
 
 
+def numbers_to_linear(encoded: np.ndarray) -> np.ndarray:
+    """sRGB-encoded numbers (any shape) to linear ones; of 0..255 if any is above 1, of 0..1 otherwise."""
+    return to_linear(np.clip(encoded / 255 if encoded.max() > 1 else encoded, 0, 1))
+
+
 def value(rgb: np.ndarray) -> np.ndarray:
     """V of HSV in linear light: the largest channel of linear ``[...,3]``, shape ``[...]``.
 

@@ -103,7 +103,7 @@ class RefineConfig:
     """Take relief away again, in a second stage, where it raises the predicted thermal stress."""
     stress_weight: float = 1.0
     """Weight of the stress against the appearance; at 1 both move the surface equally fast where relief raises a
-    measure of the stress by a hundredth or more; 0 leaves the stress stage out."""
+    measure of the stress by a twentieth or more; 0 leaves the stress stage out."""
     stress_by: Literal["solver", "network"] = "solver"
     """What the stress stage asks: finite elements on a mesh that follows the surface, or a coarse field with the
     correction of a network (docs/model_card.md), which takes four times as long."""

@@ -12,7 +12,11 @@ import numpy as np
 
 HALF_EXTENT = 0.95
 """Half of the longest side in the normalised frame."""
-_UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+Up = tuple[float, float, float]
+"""Unit vector away from the print bed, in the normalised frame."""
+UPRIGHT: Up = (0.0, 1.0, 0.0)
+"""Of a part that is printed as the object stands."""
+_UPRIGHT_AXES = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """The axes of the print frame in the normalised one, as rows, of a part that is printed as it stands: 90° about x."""
 
 
@@ -23,13 +27,13 @@ class Frame:
     centre: centre of the bounding box in file units, three floats.
     scale: normalised units per file unit.
     size_mm: the longest side of the printed object.
-    up: unit vector in the normalised frame that points away from the print bed, y as the object stands.
+    up: the way the part is printed.
     """
 
     centre: tuple[float, float, float]
     scale: float
     size_mm: float
-    up: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    up: Up = UPRIGHT
 
     @classmethod
     def of(cls, vertices: np.ndarray, size_mm: float) -> Frame:
@@ -39,10 +43,9 @@ class Frame:
         x, y, z = map(float, (low + high) / 2)
         return cls((x, y, z), 2 * HALF_EXTENT / longest, float(size_mm))
 
-    def standing(self, up: np.ndarray) -> Frame:
-        """The same, printed with the unit vector ``up`` away from the bed."""
-        x, y, z = (float(k) for k in up)
-        return replace(self, up=(x, y, z))
+    def standing(self, up: Up) -> Frame:
+        """The same, printed with ``up`` away from the bed."""
+        return replace(self, up=up)
 
     @property
     def mm_per_unit(self) -> float:
@@ -80,8 +83,8 @@ class Frame:
         """The axes of the print frame in the normalised one, as rows; a rotation keeps the orientation of faces."""
         up, y = np.array(self.up), np.array([0.0, 1.0, 0.0])
         if up[1] < -1 + 1e-9:
-            return _UPRIGHT @ np.diag([1.0, -1.0, -1.0])
+            return _UPRIGHT_AXES @ np.diag([1.0, -1.0, -1.0])
         # The shortest turn that takes up to y (Rodrigues' formula)
         x, _, z = np.cross(up, y)
         cross = np.array([[0.0, -z, 0.0], [z, 0.0, -x], [0.0, x, 0.0]])
-        return _UPRIGHT @ (np.eye(3) + cross + cross @ cross / (1 + up[1]))
+        return _UPRIGHT_AXES @ (np.eye(3) + cross + cross @ cross / (1 + up[1]))

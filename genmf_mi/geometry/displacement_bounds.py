@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from genmf_mi.core.frame import UPRIGHT, Up
 from genmf_mi.mesh.measures import face_areas, face_normals
 
 CURVATURE_LIMIT = 1.0
@@ -54,7 +55,7 @@ def displacement_bounds(
     cap: float,
     wall: float,
     free_ray_distance: Callable[[np.ndarray, np.ndarray], np.ndarray],
-    up: tuple[float, float, float] = (0.0, 1.0, 0.0),
+    up: Up = UPRIGHT,
 ) -> DisplacementBounds:
     """The bounds of each vertex, at most ``cap``.
 
@@ -118,7 +119,7 @@ def lateral_thickness(
     return width
 
 
-def base(vertices: np.ndarray, faces: np.ndarray, up: tuple[float, float, float] = (0.0, 1.0, 0.0)) -> np.ndarray:
+def base(vertices: np.ndarray, faces: np.ndarray, up: Up = UPRIGHT) -> np.ndarray:
     """Indices of the vertices of the flat base; empty if it covers less than 2 % of the footprint's box.
 
     up: unit vector away from the bed.
@@ -131,7 +132,7 @@ def base(vertices: np.ndarray, faces: np.ndarray, up: tuple[float, float, float]
     return np.unique(faces[flat]) if area[flat].sum() > 0.02 * footprint else np.empty(0, np.int64)
 
 
-def _height(vertices: np.ndarray, up: tuple[float, float, float]) -> np.ndarray:
+def _height(vertices: np.ndarray, up: Up) -> np.ndarray:
     """``[V]`` above the lowest vertex."""
     along = vertices @ np.array(up)
     return along - along.min()

@@ -9,23 +9,31 @@ sample, and would leave out of the derivatives that the body itself changes.
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
+from jaxtyping import Float
+from torch import Tensor
+
 from genmf_mi.losses.shapes import Field, Scalar
+
+Samples: TypeAlias = Float[Tensor, "*samples"]
+"""One value for each sample of a grid, or for each cell of a mesh."""
 
 RAMP_CELLS = 0.5
 """Grid cells over which the weight of a sample rises from 0 to 1."""
 
 
-def mean(stress: Field, weight: Field) -> Scalar:
-    """L_stress-avg = E(σ), a scalar in MPa; ``weight`` from :func:`body` or :func:`band`."""
+def mean(stress: Samples, weight: Samples) -> Scalar:
+    """L_stress-avg = E(σ), a scalar in MPa; ``weight`` from :func:`body` or :func:`band`, or volumes of cells."""
     return (weight * stress).sum() / weight.sum()
 
 
-def variance(stress: Field, weight: Field) -> Scalar:
+def variance(stress: Samples, weight: Samples) -> Scalar:
     """L_stress-var = Var(σ), a scalar in MPa²."""
     return mean((stress - mean(stress, weight)).square(), weight)
 
 
-def peak(stress: Field, weight: Field, power: float = 8.0) -> Scalar:
+def peak(stress: Samples, weight: Samples, power: float = 8.0) -> Scalar:
     """A smooth stand-in for the maximum, (E σᵖ)^(1/p) in MPa: the place that breaks first
     hardly shows in Var. Not in the paper."""
     highest = stress.detach().max().clamp_min(1e-6)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from genmf_mi.core.frame import UPRIGHT, Up
 from genmf_mi.core.printer import Printer
 from genmf_mi.losses.alignment import Alignment
 from genmf_mi.mesh.measures import face_areas
@@ -19,8 +20,6 @@ from genmf_mi.pipeline.evaluator import Evaluator
 from genmf_mi.pipeline.problem import DIRECTIONS, RefinementProblem
 from genmf_mi.printing.printability import overhang_mm2
 
-Up = tuple[float, float, float]
-"""Unit vector away from the print bed, in the normalised frame."""
 LIKELIEST, LIKELY = 5, 0.03
 """So many of the ways in which the part comes to rest when it is dropped at random are tried, each at least so
 likely."""
@@ -63,7 +62,7 @@ def choose(problem: RefinementProblem, evaluator: Evaluator, heights: np.ndarray
     found: list[Candidate] = []
     unit = 0.0
     for name, up in candidates(surface.vertices):
-        part_mm = problem.frame.standing(np.array(up)).to_print(surface.vertices)
+        part_mm = problem.frame.standing(up).to_print(surface.vertices)
         width, depth, height = (float(k) for k in np.ptp(part_mm, axis=0))
         share = overhang_mm2(part_mm, surface.faces, printer.layer_mm) / total
         lpips = None
@@ -83,7 +82,7 @@ def candidates(vertices: np.ndarray) -> list[tuple[str, Up]]:
     cell = np.ptp(vertices, axis=0).max() / _CELLS
     points = np.unique((vertices / cell).astype(np.int64), axis=0) * cell
     found: tuple[np.ndarray, np.ndarray] = untyped.compute_stable_poses(PointCloud(points).convex_hull)
-    ups = [np.array(DIRECTIONS["upright"])]
+    ups = [np.array(UPRIGHT)]
     for pose, likelihood in sorted(zip(*found, strict=True), key=lambda each: -each[1]):
         up = pose[2, :3]
         if likelihood >= LIKELY and len(ups) <= LIKELIEST and all(up @ other < SAME for other in ups):

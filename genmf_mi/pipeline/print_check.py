@@ -15,7 +15,7 @@ from genmf_mi.assets import samples
 from genmf_mi.assets.asset import Asset, load
 from genmf_mi.core.config import RefineConfig
 from genmf_mi.core.errors import ConfigError
-from genmf_mi.core.frame import Frame
+from genmf_mi.core.frame import UPRIGHT, Frame, Up
 from genmf_mi.core.printer import PRINTERS, Printer
 from genmf_mi.core.progress import Progress
 from genmf_mi.fabrication.files import COLOURED_GLB
@@ -23,7 +23,7 @@ from genmf_mi.losses import lpips_weights
 from genmf_mi.mesh import topology
 from genmf_mi.pipeline.as_printed import LAMPS, PAINTED, TWO_LIGHTS, Pictures, PrintedViews, PrintGate, paint_of, scores
 from genmf_mi.pipeline.evaluation import WELD
-from genmf_mi.pipeline.problem import DIRECTIONS, RefinementProblem, build_problem, standing
+from genmf_mi.pipeline.problem import RefinementProblem, build_problem, standing
 from genmf_mi.pipeline.run_folder import RunFolder
 from genmf_mi.pipeline.scoring import Scorer
 from genmf_mi.printing import slicer as slicers
@@ -66,16 +66,12 @@ def printer_named(name: str) -> Printer:
 
 @dataclass(frozen=True)
 class PartToPrint:
-    """A file with a part in the pose of the textured asset, and how it is printed.
-
-    up: unit vector away from the bed. folder: for pictures of it.
-    """
+    """A file with a part in the pose of the textured asset, and how it is printed."""
 
     path: Path
-    folder: Path
     printer: str = DEFAULT_PRINTER
     size_mm: float = 100.0
-    up: tuple[float, float, float] = DIRECTIONS["upright"]
+    up: Up = UPRIGHT
 
     @classmethod
     def of(cls, part: str | Path) -> PartToPrint:
@@ -86,17 +82,17 @@ class PartToPrint:
         """
         path = Path(part)
         if not path.is_dir():
-            return cls(samples.resolve(part), path.parent)
+            return cls(samples.resolve(part))
         run = RunFolder(path)
         metrics = run.metrics()
         if metrics is None:
             raise ConfigError(f"there is no complete run in {path}: give the folder of one, or a file.")
         settings = run.settings()
         printer = str(settings.get("printer"))
-        x, y, z = metrics.get("stand", {}).get("up", DIRECTIONS["upright"])
+        x, y, z = metrics.get("stand", {}).get("up", UPRIGHT)
         layered = printer in PRINTERS and PRINTERS[printer].layered
         chosen = printer if layered else DEFAULT_PRINTER
-        return cls(path / COLOURED_GLB, path, chosen, float(settings["size_mm"]), (x, y, z))
+        return cls(path / COLOURED_GLB, chosen, float(settings["size_mm"]), (x, y, z))
 
 
 def check_shapes(
@@ -160,12 +156,12 @@ def print_check(
     """
     variant.use("auto")
     progress = progress or Progress()
-    told = PartToPrint(Path(), Path()) if isinstance(part, Asset) else PartToPrint.of(part)
+    told = PartToPrint(Path()) if isinstance(part, Asset) else PartToPrint.of(part)
     printer, size_mm = printer or told.printer, size_mm or told.size_mm
     chosen, program = printer_named(printer), slicers.find(slicer)
     shape = part if isinstance(part, Asset) else load(told.path)
     vertices, faces = topology.weld(shape.vertices, shape.faces, WELD * np.ptp(shape.vertices, axis=0).max())
-    frame = Frame.of(vertices, size_mm).standing(np.array(told.up))
+    frame = Frame.of(vertices, size_mm).standing(told.up)
     vertices = frame.normalise(vertices)
     with tempfile.TemporaryDirectory(prefix="genmf-") as folder:
         if textured is None:

@@ -14,7 +14,7 @@ from genmf_mi.assets.sdf_asset import SdfAsset
 from genmf_mi.core.colour import to_srgb, value
 from genmf_mi.core.config import RefineConfig
 from genmf_mi.core.errors import AssetError, SolidError
-from genmf_mi.core.frame import Frame
+from genmf_mi.core.frame import UPRIGHT, Frame, Up
 from genmf_mi.core.printer import PRINTERS
 from genmf_mi.core.progress import Progress
 from genmf_mi.core.timer import Timer
@@ -39,8 +39,8 @@ from genmf_mi.sdf.grid import without_small_components
 COARSE_SHARE, COARSEST_MM = 0.35, 1.3
 """Of the face budget, for the triangles that are everywhere where the texture has crisp edges; and how long their edges
 may be: with longer ones too much is lost beside the crispest places."""
-DIRECTIONS: dict[str, tuple[float, float, float]] = {
-    "upright": (0.0, 1.0, 0.0),
+DIRECTIONS: dict[str, Up] = {
+    "upright": UPRIGHT,
     "upside-down": (0.0, -1.0, 0.0),
     "on-back": (0.0, 0.0, 1.0),
     "on-front": (0.0, 0.0, -1.0),
@@ -159,8 +159,7 @@ def build_problem(
 
     progress.stage("building scenes")
     # Where the best way of standing is asked for, it is looked for from upright
-    up = DIRECTIONS.get(config.stand, DIRECTIONS["upright"])
-    frame = Frame.of(body.vertices, config.size_mm).standing(np.array(up))
+    frame = Frame.of(body.vertices, config.size_mm).standing(DIRECTIONS.get(config.stand, UPRIGHT))
     surface, training, evaluation = build_scenes(asset, body, frame, config, xml, folder, pictures)
     low_pass = LowPass(surface.vertices, surface.faces, DETAIL_MM / frame.mm_per_unit)
     broad = low_pass.of(surface.brightness)
@@ -192,9 +191,11 @@ def bounds_of(
     return loose.capped(relief_cap(points, surface.brightness, cap_mm) / frame.mm_per_unit), loose
 
 
-def standing(problem: RefinementProblem, up: tuple[float, float, float], config: RefineConfig) -> RefinementProblem:
-    """The problem of the same part, printed with the unit vector ``up`` away from the bed."""
-    frame = problem.frame.standing(np.array(up))
+def standing(problem: RefinementProblem, up: Up, config: RefineConfig) -> RefinementProblem:
+    """The problem of the same part, printed with ``up`` away from the bed."""
+    if up == problem.frame.up:
+        return problem
+    frame = problem.frame.standing(up)
     problem.evaluation.part.stand(up)
     bounds, loose = bounds_of(problem.surface, frame, problem.training, problem.cap_mm, config.nozzle_mm)
     return replace(problem, frame=frame, bounds=bounds, loose_bounds=loose)

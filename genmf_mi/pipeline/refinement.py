@@ -145,7 +145,7 @@ def stood(
     progress.stage("looking for the best way to stand")
     stands = build_direction.choose(problem, evaluator, displacement.heights, printer)
     best = stands[0]
-    require_bed(problem.frame.standing(np.array(best.up)).to_print(problem.surface.vertices), printer)
+    require_bed(problem.frame.standing(best.up).to_print(problem.surface.vertices), printer)
     if best.up == problem.frame.up:
         return problem, evaluator, displacement, stands
     problem = standing(problem, best.up, config)

@@ -9,11 +9,11 @@ from torch import Tensor
 
 from genmf_mi.core.config import RefineConfig
 from genmf_mi.core.errors import SolidError
-from genmf_mi.core.frame import Frame
+from genmf_mi.core.frame import UPRIGHT, Frame
 from genmf_mi.core.progress import Progress
 from genmf_mi.geometry.parameterization import Geometry, Parameterization
 from genmf_mi.geometry.uniform_adam import UniformAdam, percentile
-from genmf_mi.pipeline.problem import DIRECTIONS, RefinementProblem
+from genmf_mi.pipeline.problem import RefinementProblem
 from genmf_mi.sdf import distance
 from genmf_mi.stress.fem.following import FollowingBody
 from genmf_mi.stress.fem.linear import SolveError
@@ -35,7 +35,7 @@ def too_thin(thin_share: float) -> str:
 
 def not_upright(frame: Frame, config: RefineConfig) -> str:
     """Why the network cannot predict the stress of a part that does not stand upright, empty if it can."""
-    unknown = config.stress_by == "network" and frame.up != DIRECTIONS["upright"]
+    unknown = config.stress_by == "network" and frame.up != UPRIGHT
     return "the network knows parts that are printed upright only: use --stress-by solver" * unknown
 
 

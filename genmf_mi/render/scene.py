@@ -17,6 +17,7 @@ from jaxtyping import Float64
 from numpy import ndarray
 
 from genmf_mi.core.errors import SceneError
+from genmf_mi.core.frame import UPRIGHT, Up
 from genmf_mi.render import variant
 from genmf_mi.render.scene_file import GRID, MESH, START, bundled_folder, find, one_line, read_defaults, standalone_xml
 from genmf_mi.render.untyped import MitsubaObject, MitsubaScene, mi
@@ -81,7 +82,7 @@ class Scene:
     resolution: int
     lights: dict[str, Float64[ndarray, " 3"]]
     bulge: float | None = None
-    up: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    up: Up = UPRIGHT
     moves: int = 0
 
     @property
@@ -134,7 +135,7 @@ class Scene:
             self.bsdf.stack(other.bulge)
             self.bulge = other.bulge
 
-    def stand(self, up: tuple[float, float, float]) -> None:
+    def stand(self, up: Up) -> None:
         """Print with the unit vector ``up`` away from the bed from now on."""
         if up != self.up:
             self.bsdf.build, self.up = mi.Vector3f(*up), up

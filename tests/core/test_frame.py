@@ -18,14 +18,14 @@ def points() -> np.ndarray:
 class TestPrintFrame:
     @pytest.mark.parametrize("up", UPS)
     def test_there_and_back(self, points, up):
-        frame = Frame.of(points, 80.0).standing(np.array(up, dtype=float))
+        frame = Frame.of(points, 80.0).standing(up)
         normalised = frame.normalise(points)
         back = frame.from_print(frame.to_print(normalised), float((normalised @ up).min()))
         np.testing.assert_allclose(back, normalised, atol=1e-12)
 
     @pytest.mark.parametrize("up", UPS)
     def test_a_rotation_that_takes_up_to_z_and_the_lowest_point_to_the_bed(self, points, up):
-        frame = Frame.of(points, 80.0).standing(np.array(up, dtype=float))
+        frame = Frame.of(points, 80.0).standing(up)
         axes = frame.turned_to_print(np.eye(3))
         np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
         assert np.linalg.det(axes) == pytest.approx(1)

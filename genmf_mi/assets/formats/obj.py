@@ -95,7 +95,7 @@ def _statements(
     colours = None
     if positions and all(len(row) in (6, 7) for row in positions):
         rgb = np.array([row[3:6] for row in positions])
-        colours = colour.to_linear(np.clip(rgb / 255 if rgb.max() > 1 else rgb, 0, 1))
+        colours = colour.numbers_to_linear(rgb)
     return vertices, colours, np.array(coordinates, dtype=np.float64).reshape(-1, 2), rings, libraries
 
 

@@ -81,7 +81,7 @@ def _vertex_colours(path: Path, mesh: trimesh.Trimesh) -> np.ndarray | None:
     rgb = rgb.astype(np.float64)
     if not np.isfinite(rgb).all():
         raise AssetError(f"{path} has colours that are not numbers. Export it again.")
-    return colour.to_linear(np.clip(rgb / 255 if rgb.max() > 1 else rgb, 0, 1)).astype(np.float32)
+    return colour.numbers_to_linear(rgb).astype(np.float32)
 
 
 def _textures(path: Path) -> list[str]:

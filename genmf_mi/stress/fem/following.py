@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from genmf_mi.core.frame import HALF_EXTENT, Frame
+from genmf_mi.losses import stress as losses
 from genmf_mi.sdf.distance import sample
 from genmf_mi.stress.fem import materials
 from genmf_mi.stress.fem.linear import SolveError
@@ -35,7 +36,6 @@ REACH = 2.0
 SMALLEST_CELL = 0.2
 """Share of its volume that no cell may fall below; the nodes around it then follow less."""
 _HALVINGS = 6
-PEAK_POWER = 8.0
 MEASURES = ("stress_mean", "stress_variance", "stress_band", "stress_peak")
 """E and Var over the body, E over the layer within 4 mm of the initial surface, and a smooth stand-in for the maximum,
 (E σ⁸)^⅛."""
@@ -105,11 +105,12 @@ class FollowingBody:
     def measure(self, elements: ShapeFunctions[Tensor], von_mises: Tensor) -> Tensor:
         """The :data:`MEASURES` of a field given in each cell, ``[4]``."""
         volumes = elements.volumes
-        mean = _average(von_mises, volumes)
-        highest = von_mises.detach().max()
-        peak = highest * _average((von_mises / highest) ** PEAK_POWER, volumes) ** (1 / PEAK_POWER)
-        variance = _average((von_mises - mean).square(), volumes)
-        return torch.stack([mean, variance, _average(von_mises, volumes * self._layer), peak])
+        return torch.stack([
+            losses.mean(von_mises, volumes),
+            losses.variance(von_mises, volumes),
+            losses.mean(von_mises, volumes * self._layer),
+            losses.peak(von_mises, volumes),
+        ])  # fmt: skip
 
     def gradient(self, problem: Problem, field: Field, follows: np.ndarray, weights: Tensor) -> np.ndarray:
         """Derivative of Σ weights · :data:`MEASURES` with respect to the motion of the nodes, ``[N,3]``."""
@@ -154,7 +155,3 @@ def mesh_edge(phi: np.ndarray, nodes: int = MOST_NODES) -> float:
     volume = float(np.clip(0.5 - phi / cell, 0, 1).sum()) * cell**3
     # The lattice has two nodes per cube of its edge
     return max(FINEST, (2 * volume / nodes) ** (1 / 3))
-
-
-def _average(value: Tensor, weight: Tensor) -> Tensor:
-    return (weight * value).sum() / weight.sum()

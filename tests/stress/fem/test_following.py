@@ -81,7 +81,7 @@ class TestFollowingBody:
 
     def test_printed_another_way_up(self):
         """On its back it is the body that was turned before it was printed upright."""
-        lying = FollowingBody(egg(), FRAME.standing(np.array([0.0, 0.0, 1.0])), Settings(), NODES)
+        lying = FollowingBody(egg(), FRAME.standing((0.0, 0.0, 1.0)), Settings(), NODES)
         turned = FollowingBody(egg((0.75, 0.5, 0.6)), FRAME, Settings(), NODES)
         found, expected = (b.measures(torch.zeros(len(b.points), 3, dtype=torch.float64)) for b in (lying, turned))
         assert found[:3].tolist() == pytest.approx(expected[:3].tolist(), rel=0.02)
