@@ -124,4 +124,4 @@ def summarise(runs: dict[str, dict[str, Any]]) -> dict[str, Any]:
 
 
 def _stresses(summary: dict[str, Any]) -> dict[str, float]:
-    return {name: summary[group][quantity] for name, _, (group, quantity) in STRESSES}
+    return {name: summary[group][quantity] for name, _, (group, quantity) in STRESSES if summary.get(group)}

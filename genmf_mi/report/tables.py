@@ -19,6 +19,7 @@ STRESSES = (
     ("mean", "mean", ("von_mises_mpa", "mean")),
     ("surface_band_mean", "surface band, mean", ("surface_band", "mean")),
     ("surface_band_p99_9", "surface band, max", ("surface_band", "p99_9")),
+    ("warpage", "warpage off the bed, mm", ("warpage", "flatness_mm")),
 )
 """Measures of stress: key among the ratios of a verification, name for people, and path in the summary of a shape."""
 
@@ -185,6 +186,8 @@ def stress(metrics: dict) -> TextTable | None:
     compared = "constrained" in verification["ratio"]
     rows = []
     for key, name, (group, quantity) in STRESSES:
+        if not all(verification["shapes"][shape].get(group) for shape in shapes):
+            continue  # no warpage: a part too thin for its mesh, or a run from before there was any
         row = [name]
         for shape in shapes:
             ratio = verification["ratio"].get(shape, {}).get(key)

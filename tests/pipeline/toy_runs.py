@@ -20,7 +20,7 @@ TOLERANCE_MM = 2e-3
 """Between two runs with the same seed. Sums over faces and pixels are taken in any order, so that the last bits of the
 gradients differ, and Adam divides small gradients by their own size."""
 
-COARSE_STRESS = "genmf_mi.stress.fem.following.FINEST", 0.2
+COARSE_STRESS = "genmf_mi.stress.fem.body_mesh.FINEST", 0.2
 """What to replace, and by what, for meshes of some hundred nodes."""
 
 

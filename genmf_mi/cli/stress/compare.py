@@ -44,7 +44,7 @@ def compare(
     """
     from genmf_mi.cli.stress.shared import caption, simulate_file, warn_of_losses
     from genmf_mi.stress.fem.settings import Settings
-    from genmf_mi.stress.fem.statistics import summary
+    from genmf_mi.stress.fem.statistics import summary_with_warpage
     from genmf_mi.stress.report import output
     from genmf_mi.stress.report.comparison import layer_ratio, ratios, relative_size
 
@@ -55,8 +55,11 @@ def compare(
         before = simulate_file(a, settings, PrefixedProgress(progress, f"{a.stem}: "))
         settings = replace(settings, size_mm=size_mm * relative_size(before.frame, b))
         after = simulate_file(b, settings, PrefixedProgress(progress, f"{b.stem}: "))
+        shapes = {
+            key: {"asset": path.name, **summary_with_warpage(one, PrefixedProgress(progress, f"{path.stem}: "))}
+            for key, path, one in (("a", a, before), ("b", b, after))
+        }
         progress.stage("writing")
-        shapes = {"a": {"asset": a.name, **summary(before)}, "b": {"asset": b.name, **summary(after)}}
         ratio = ratios(shapes["a"], shapes["b"])
         if (layer := layer_ratio(before, after)) is not None:
             ratio["surface_layer_mean"] = layer

@@ -32,12 +32,15 @@ def caption(numbers: dict) -> str:
         f"mean {stress['mean']:.3f} MPa, 99.9 % below {stress['p99_9']:.2f} MPa, "
         f"surface band {band['mean']:.3f} MPa"
         + (f", moves {numbers['displacement_max_mm']:.2f} mm" if "displacement_max_mm" in numbers else "")
+        + (f", warps by {bent['flatness_mm']:.2f} mm off the bed" if (bent := numbers.get("warpage")) else "")
     )
 
 
 def warn_of_losses(path: Path, numbers: dict, progress: Progress) -> None:
     """Warn where parts of the shape are not in the figures; ``numbers`` as in ``stress.json``."""
     mesh = numbers["mesh"]
+    if numbers.get("warpage", True) is None:
+        progress.warn(f"{path.name} has walls too thin for the mesh that its warpage is computed on; it was left out.")
     if mesh["thin_fraction"] > THIN:
         progress.warn(
             f"{path.name} is thinner than two grid cells under {mesh['thin_fraction']:.0%} of its surface, "

@@ -23,7 +23,8 @@ def simulate(
     picture: bool = True,
     force: bool = False,
 ) -> None:
-    """Simulate the thermal stress of a solid; writes stress.vtu, stress.npz, stress.json and stress.png.
+    """Simulate the thermal stress of a solid, and how it warps once it is off the bed; writes stress.vtu, stress.npz,
+    stress.json and stress.png.
 
     Args:
         asset: A mesh file (made solid first), or a volume mesh such as .vtu or .msh with tetrahedra.
@@ -38,7 +39,7 @@ def simulate(
     """
     from genmf_mi.cli.stress.shared import caption, simulate_file, warn_of_losses
     from genmf_mi.stress.fem.settings import Settings
-    from genmf_mi.stress.fem.statistics import summary
+    from genmf_mi.stress.fem.statistics import summary_with_warpage
     from genmf_mi.stress.report import output
 
     settings = Settings(size_mm, edge_mm, grid, material, protocol)
@@ -46,7 +47,7 @@ def simulate(
     claim_folder(out, "simulation", finished=output.FILES, force=force)
     with TerminalProgress() as progress:
         simulation = simulate_file(asset, settings, progress)
-        numbers = {"asset": asset.name, **summary(simulation)}
+        numbers = {"asset": asset.name, **summary_with_warpage(simulation, progress)}
         progress.stage("writing")
         output.write_vtu(out / "stress.vtu", simulation.field)
         output.write_grid(out / "stress.npz", simulation)

@@ -101,10 +101,13 @@ class P1(ShapeFunctions[np.ndarray]):
         """∮ v over the whole surface, ``[N]``, mm²."""
         return np.bincount(self.boundary.reshape(-1), np.repeat(self.areas / 3, 3), self.nodes)
 
-    def elastic(self, lam: float, mu: float, spring: np.ndarray | None = None) -> sp.bsr_matrix:
-        """∫ λ div u div v + 2μ ε(u):ε(v), plus an isotropic nodal ``spring [N]`` in N/mm, in 3×3 blocks, N/mm."""
+    def elastic(
+        self, lam: float, mu: float, spring: np.ndarray | None = None, stiffness: np.ndarray | None = None
+    ) -> sp.bsr_matrix:
+        """∫ λ div u div v + 2μ ε(u):ε(v), times the relative ``stiffness [T]`` of each cell, plus an isotropic nodal
+        ``spring [N]`` in N/mm; in 3×3 blocks, N/mm."""
         low, _, index, ordered = self._edges
-        g, v = self.gradients, self.volumes
+        g, v = self.gradients, self.volumes if stiffness is None else self.volumes * stiffness
         pointers, columns, order = self._pattern
         blocks = np.empty((len(order), 3, 3))
         cells, edge = self.cells.reshape(-1), index.reshape(-1)
@@ -131,6 +134,14 @@ class P1(ShapeFunctions[np.ndarray]):
 
     def divergence_load(self, pressure: np.ndarray) -> np.ndarray:
         """∫ p div v for one pressure per cell ``[T]`` in MPa, ``[N,3]`` in N."""
-        weighted = (self.volumes * pressure)[:, None, None] * self.gradients
+        return self._load(pressure[:, None, None] * self.gradients)
+
+    def stress_load(self, stress: np.ndarray) -> np.ndarray:
+        """∫ σ:ε(v) for a symmetric stress per cell ``[T,3,3]`` in MPa, ``[N,3]`` in N."""
+        return self._load(self.gradients @ stress)
+
+    def _load(self, density: np.ndarray) -> np.ndarray:
+        """The sum over the cells of ``density [T,4,3]`` times the volume, at each node, ``[N,3]``."""
+        weighted = self.volumes[:, None, None] * density
         cells = self.cells.reshape(-1)
         return np.stack([np.bincount(cells, weighted[..., i].reshape(-1), self.nodes) for i in range(3)], axis=1)

@@ -99,6 +99,7 @@ class Equilibrium:
         spring: stiffness of the clamp at each node in N/mm, ``[N]``.
         near: of the same cells at nearly the same points, whose multigrid hierarchy serves here too.
         tolerance: relative residual of the solutions; :data:`TOLERANCE` if None.
+        stiffness: of each cell relative to the material, ``[T]``; 1 if None.
     """
 
     def __init__(
@@ -108,9 +109,10 @@ class Equilibrium:
         spring: np.ndarray,
         near: Equilibrium | None = None,
         tolerance: float | None = None,
+        stiffness: np.ndarray | None = None,
     ) -> None:
         self._tolerance = TOLERANCE if tolerance is None else tolerance
-        self.matrix = elements.elastic(*material.lame, spring)
+        self.matrix = elements.elastic(*material.lame, spring, stiffness)
         self._preconditioner = near._preconditioner if near else multigrid(self.matrix, elements.mesh.points)
 
     def solve(self, load: np.ndarray, guess: np.ndarray | None = None) -> tuple[np.ndarray, int]:
@@ -138,9 +140,14 @@ def stress(elements: ShapeFunctions[Array], material: Material, displacement: Ar
         displacement: mm, ``[N,3]``.
         temperature_rise: above the stress-free temperature in K, ``[N]``.
     """
+    rise: Any = temperature_rise[elements.cells].mean(1)
+    return hooke(elements.strain(displacement), material, rise)
+
+
+def hooke(strain: Array, material: Material, temperature_rise: Array) -> Array:
+    """σ in MPa of cells under ``strain [T,3,3]`` and a ``temperature_rise [T]`` in K; arrays or tensors."""
     lam, mu = material.lame
-    strain = elements.strain(displacement)
-    pressure = lam * trace(strain) - material.thermal_modulus * temperature_rise[elements.cells].mean(1)
+    pressure = lam * trace(strain) - material.thermal_modulus * temperature_rise
     return 2 * mu * strain + pressure[:, None, None] * namespace(strain).eye(3, dtype=strain.dtype)
 
 

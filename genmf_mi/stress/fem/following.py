@@ -13,22 +13,19 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from genmf_mi.core.frame import HALF_EXTENT, Frame
+from genmf_mi.core.frame import Frame
 from genmf_mi.losses import stress as losses
 from genmf_mi.sdf.distance import sample
 from genmf_mi.stress.fem import materials
+from genmf_mi.stress.fem.body_mesh import MOST_NODES, body_mesh
 from genmf_mi.stress.fem.linear import SolveError
 from genmf_mi.stress.fem.problem import Field, Problem
 from genmf_mi.stress.fem.sensitivity import nodal_gradient
 from genmf_mi.stress.fem.settings import Settings
 from genmf_mi.stress.fem.shape_functions import ShapeFunctions
 from genmf_mi.stress.fem.statistics import SURFACE_BAND_MM
-from genmf_mi.stress.fem.tet_mesh import TetMesh, largest_component
-from genmf_mi.stress.fem.tetrahedra import isosurface_stuffing
+from genmf_mi.stress.fem.tet_mesh import TetMesh
 
-FINEST, MOST_NODES = 0.025 * 2 * HALF_EXTENT, 15_000
-"""Edge of the mesh in normalised units, 2.5 mm of 100; and nodes from which on it is longer, so that a look takes two
-seconds."""
 LOOK_TOLERANCE = 1e-5
 """Relative residual of the equilibrium of a look."""
 REACH = 2.0
@@ -49,7 +46,7 @@ class FollowingBody:
     Args:
         phi: ``[n,n,n]``, normalised frame. frame: of the part, its size and the way it is printed.
         settings: material and protocol; its edge and size are not used.
-        nodes: of the mesh, about, unless that would be finer than :data:`FINEST`.
+        nodes: of the mesh, about, unless that would be finer than :data:`genmf_mi.stress.fem.body_mesh.FINEST`.
         tolerance: relative residual of the equilibrium.
 
     Raises:
@@ -65,8 +62,7 @@ class FollowingBody:
         tolerance: float = LOOK_TOLERANCE,
     ) -> None:
         self._frame, self._tolerance = frame, tolerance
-        edge = mesh_edge(phi, nodes)
-        self._mesh, _ = largest_component(isosurface_stuffing(phi, edge))
+        self._mesh, edge = body_mesh(phi, nodes)
         self.points, self.reach = self._mesh.points, REACH * edge
         self._printed = frame.turned_to_print(self.points) * frame.mm_per_unit
         self._volumes = self._mesh.with_points(self._printed).volumes
@@ -147,11 +143,3 @@ class _Measures(torch.autograd.Function):
     def backward(ctx: Any, weights: Tensor) -> tuple[Tensor, None]:  # pyright: ignore[reportIncompatibleMethodOverride]
         gradient = ctx.body.gradient(*ctx.solved, weights.detach().cpu().double())
         return torch.from_numpy(gradient).to(ctx.like), None
-
-
-def mesh_edge(phi: np.ndarray, nodes: int = MOST_NODES) -> float:
-    """Edge in normalised units of a mesh of the body with about so many ``nodes``, at least :data:`FINEST`."""
-    cell = 2.0 / (phi.shape[0] - 1)
-    volume = float(np.clip(0.5 - phi / cell, 0, 1).sum()) * cell**3
-    # The lattice has two nodes per cube of its edge
-    return max(FINEST, (2 * volume / nodes) ** (1 / 3))

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import numpy as np
 
 from genmf_mi.core.frame import HALF_EXTENT
+from genmf_mi.core.progress import Progress
 from genmf_mi.sdf.distance import sample
 from genmf_mi.stress.fem.simulation import Simulation
+from genmf_mi.stress.fem.warpage import warpage
 
 SURFACE_BAND_MM = 4.0
 """Depth of the surface band. Relief changes the field within about one wavelength of the surface; the mean over the
@@ -73,3 +77,12 @@ def summary(simulation: Simulation) -> dict:
             **vars(settings.protocol),
         },
     }
+
+
+def summary_with_warpage(simulation: Simulation, progress: Progress | None = None) -> dict:
+    """:func:`summary`, and under ``warpage`` the :class:`genmf_mi.stress.fem.warpage.Warpage` of the part, None for one
+    that is too thin for its mesh. Raises :class:`genmf_mi.stress.fem.linear.SolveError`."""
+    progress = progress or Progress()
+    progress.stage("warpage")
+    bent = warpage(simulation.phi, simulation.frame, simulation.settings, progress)
+    return {**summary(simulation), "warpage": bent and asdict(bent)}

@@ -19,13 +19,16 @@ centres of their bounding boxes do too."""
 
 
 def ratios(a: dict[str, Any], b: dict[str, Any]) -> dict[str, float]:
-    """B over A, of two summaries (:func:`genmf_mi.stress.fem.statistics.summary`)."""
+    """B over A, of two summaries (:func:`genmf_mi.stress.fem.statistics.summary_with_warpage`); of the warpage only where
+    both have it."""
+    bent = [one["warpage"]["flatness_mm"] for one in (a, b) if one.get("warpage")]
     return {
         "mean": b["von_mises_mpa"]["mean"] / a["von_mises_mpa"]["mean"],
         "p99_9": b["von_mises_mpa"]["p99_9"] / a["von_mises_mpa"]["p99_9"],
         "surface_band_mean": b["surface_band"]["mean"] / a["surface_band"]["mean"],
         "surface_band_p99_9": b["surface_band"]["p99_9"] / a["surface_band"]["p99_9"],
         "displacement_max": b["displacement_max_mm"] / a["displacement_max_mm"],
+        **({"warpage": bent[1] / bent[0]} if len(bent) == 2 and bent[0] else {}),
     }
 
 

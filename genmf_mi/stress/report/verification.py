@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from genmf_mi.core.frame import Frame
-from genmf_mi.core.progress import Progress
+from genmf_mi.core.progress import PrefixedProgress, Progress
 from genmf_mi.sdf import distance
 from genmf_mi.stress.fem.settings import Settings
 from genmf_mi.stress.fem.simulation import Simulation, simulate_distance
-from genmf_mi.stress.fem.statistics import summary
+from genmf_mi.stress.fem.statistics import summary_with_warpage
 from genmf_mi.stress.report.comparison import layer_ratio, ratios
 
 EDGE_MM = 1.2
@@ -35,10 +35,10 @@ def verify(
         material: of the part, a name in :data:`genmf_mi.stress.fem.materials.MATERIALS`.
 
     Returns:
-        ``shapes``: :func:`genmf_mi.stress.fem.statistics.summary` of each. ``ratio``: each over ``before``, see
-        :func:`genmf_mi.stress.report.comparison.ratios`, and ``constrained``: after over unconstrained. ``remains``:
-        the share of the increase from before to unconstrained that is left after, None where there was no increase.
-        What lacks a shape is left out.
+        ``shapes``: :func:`genmf_mi.stress.fem.statistics.summary_with_warpage` of each. ``ratio``: each over
+        ``before``, see :func:`genmf_mi.stress.report.comparison.ratios`, and ``constrained``: after over unconstrained.
+        ``remains``: the share of the increase from before to unconstrained that is left after, None where there was
+        none. What lacks a shape is left out.
 
     Raises:
         ConfigError: no such material.
@@ -50,7 +50,7 @@ def verify(
     for name, (vertices, faces) in shapes.items():
         progress.stage(f"simulating the stress: {name}")
         simulation = _simulated(vertices, faces, frame, settings)
-        summaries[name] = summary(simulation)
+        summaries[name] = summary_with_warpage(simulation, PrefixedProgress(progress, f"{name}: "))
         if name == "before":
             before = simulation  # the others are dropped, as each takes a gigabyte or more
         elif before is not None:
@@ -73,7 +73,7 @@ def effect(
     unconstrained: dict[str, float], after: dict[str, float]
 ) -> tuple[dict[str, float], dict[str, float | None]]:
     """``constrained`` and ``remains`` of :func:`verify`, from the ratios of either part over the one before."""
-    names = [name for name in after if unconstrained[name] and after[name]]
+    names = [name for name in after if unconstrained.get(name) and after[name]]
     constrained = {name: after[name] / unconstrained[name] for name in names}
     remains = {
         name: (after[name] - 1) / (unconstrained[name] - 1) if unconstrained[name] > 1 else None for name in names

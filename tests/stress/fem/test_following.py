@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from genmf_mi.core.frame import Frame
-from genmf_mi.stress.fem.following import FINEST, MEASURES, MOST_NODES, FollowingBody, mesh_edge
+from genmf_mi.stress.fem.body_mesh import FINEST, MOST_NODES, mesh_edge
+from genmf_mi.stress.fem.following import MEASURES, FollowingBody
 from genmf_mi.stress.fem.settings import Settings
 from genmf_mi.stress.fem.simulation import simulate_distance
 
