@@ -19,7 +19,7 @@ centres of their bounding boxes do too."""
 
 
 def ratios(a: dict[str, Any], b: dict[str, Any]) -> dict[str, float]:
-    """B over A, of two summaries (:func:`genmf_mi.stress.fem.statistics.summary_with_warpage`); of the warpage only where
+    """B over A, of two summaries (:func:`genmf_mi.stress.fem.statistics.summary_with_warpage`); of warpage only where
     both have it."""
     bent = [one["warpage"]["flatness_mm"] for one in (a, b) if one.get("warpage")]
     return {
