@@ -1,11 +1,14 @@
-"""How much stress does relief add, and what is left of that with the stress stage: caps on the relief, mesh and field.
+"""How much stress does relief add, and what is left of that with the stress stage?
 
-Every part is simulated by fine elements. ``away`` leaves out what lies within three clamp heights of the bed, where the
-maximum is that of the clamp.
+Caps on the relief, the route over a mesh and over a field, our weights and those of the paper, with and without the
+stage. Every part is simulated by fine elements. ``away`` leaves out what lies within three clamp heights of the bed,
+where the maximum is that of the clamp. The largest cap that a refinement takes, a tenth of the part, is as good as
+none: relief does not use it.
 """
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +16,11 @@ import numpy as np
 from benchmarks import record
 from benchmarks.inputs import Inputs
 from benchmarks.runs import refined, refined_shape
+from benchmarks.sdf_route import SAMPLES, field_of
 from genmf_mi.assets import sources
 from genmf_mi.assets.sdf_asset import SdfAsset
 from genmf_mi.core.config import PRESETS
+from genmf_mi.core.files import write_text
 from genmf_mi.core.frame import Frame
 from genmf_mi.mesh import solid
 from genmf_mi.render import variant
@@ -27,47 +32,83 @@ from genmf_mi.stress.report.comparison import layer_ratio
 from genmf_mi.stress.report.verification import EDGE_MM
 
 ASSETS = ("hunyuan_bus", "sf3d_raccoon")
-CAPS_MM = (1.0, 2.0, 4.0, 8.0)
+CAPS_MM = (1.0, 2.0, 4.0, 10.0)
+ROUTES = ("mesh", "field")
+WEIGHTS = {
+    "ours": (),
+    "paper": ("--weights.ssim", "0", "--weights.teacher-depth", "0", "--alignment", "paper", "--grain", "0"),
+}
+"""Those of the paper weigh the appearance without what holds plain areas."""
+STAGES = {"without": ("--no-stress",), "with": ("--stress",)}
 AWAY = 3.0
 """Clamp heights above the bed from where on the maximum counts as ``away``."""
-STAGES = {"without": ("--no-stress",), "with": ("--stress",)}
+FIGURE = record.FOLDER.parents[1] / "docs" / "stress_regime.png"
+ROW = "regime.json"
+"""Where a run keeps its figures, so that a benchmark that was ended goes on."""
+PAPER = (1 / 0.77, 1 / 0.63)
+"""By how much the relief of the paper must have raised the maximum at least, if its constraint took all of that back
+(Shen et al., ablation)."""
 
 
-def main(inputs: Inputs, *, caps_mm: tuple[float, ...] = CAPS_MM, plain_moves: bool = False) -> None:
-    """Refine with every cap, with and without the stage, and simulate.
+def main(
+    inputs: Inputs,
+    *,
+    caps_mm: tuple[float, ...] = CAPS_MM,
+    routes: tuple[str, ...] = ROUTES,
+    weights: tuple[str, ...] = tuple(WEIGHTS),
+    new: bool = True,
+) -> None:
+    """Refine with every cap, route and set of weights, with and without the stage, simulate, and draw a figure.
 
     Args:
         inputs: What all benchmarks have in common; this one reads --assets.
         caps_mm: On the relief.
-        plain_moves: Weigh the appearance as the paper does, without what holds plain areas.
+        routes: mesh, field or both.
+        weights: ours, paper or both.
+        new: Make runs that are missing; otherwise tabulate those there are.
     """
     variant.use("auto")
-    weights = ("--weights.ssim", "0", "--weights.teacher-depth", "0", "--alignment", "paper", "--grain", "0")
     rows = []
     for path in inputs.asset_files(ASSETS):
-        before: tuple[Simulation, Frame] | None = None
-        for cap in caps_mm:
-            for stage, words in STAGES.items():
-                name = f"{path.stem}_{cap:g}_{stage}{'_paper' * plain_moves}"
-                more = (*words, "--max-relief-mm", f"{cap:g}", *(weights if plain_moves else ()))
-                metrics = refined(path, inputs.out / "stress_regime" / name, *more)
-                if metrics is None:
-                    continue
-                before = before or untouched(path)
-                after = simulated(*refined_shape(inputs.out / "stress_regime" / name, before[1]), before[1])
-                row = {"asset": path.stem, "cap_mm": cap, "stage": stage, **figures(before[0], after, metrics)}
-                rows.append(row)
-                print(row, flush=True)
-    record.write("stress_regime" + "_paper" * plain_moves, {"assets": rows})
+        for route in routes:
+            before: Simulation | None = None
+            for kind in weights:
+                for cap in caps_mm:
+                    for stage, words in STAGES.items():
+                        folder = inputs.out / "stress_regime" / f"{path.stem}_{route}_{kind}_{cap:g}_{stage}"
+                        if not new and not (folder / ROW).exists():
+                            continue
+                        source, more = source_of(path, route, folder.parent)
+                        options = (*more, *words, *WEIGHTS[kind], "--max-relief-mm", f"{cap:g}")
+                        metrics = refined(source, folder, *options)
+                        if metrics is None:
+                            continue
+                        if not (folder / ROW).exists():
+                            before = before or untouched(path)
+                            after = simulated(*refined_shape(folder, before.frame), before.frame)
+                            write_text(folder / ROW, json.dumps(figures(before, after, metrics)))
+                        row = {"asset": path.stem, "route": route, "weights": kind, "cap_mm": cap, "stage": stage}
+                        rows.append(row | json.loads((folder / ROW).read_text(encoding="utf-8")))
+                        print(rows[-1], flush=True)
+    record.write("stress_regime", {"samples_per_axis": SAMPLES, "assets": rows})
+    if rows:
+        draw(rows, FIGURE)
 
 
-def untouched(path: Path) -> tuple[Simulation, Frame]:
-    """The part before any relief, and its frame."""
+def source_of(asset: Path, route: str, folder: Path) -> tuple[Path, tuple[str | Path, ...]]:
+    """The file to refine, and the arguments that it needs. The field is in the coordinates of the asset."""
+    if route == "mesh":
+        return asset, ()
+    return field_of(asset, folder / f"{asset.stem}.npz"), ("--textured", asset)
+
+
+def untouched(path: Path) -> Simulation:
+    """The part before any relief."""
     asset = sources.load(path)
     assert not isinstance(asset, SdfAsset)
     body = solid.solidify(asset.name, asset.vertices, asset.matter)
     frame = Frame.of(body.vertices, PRESETS["default"].size_mm)
-    return simulated(frame.normalise(body.vertices), body.faces, frame), frame
+    return simulated(frame.normalise(body.vertices), body.faces, frame)
 
 
 def simulated(vertices: np.ndarray, faces: np.ndarray, frame: Frame) -> Simulation:
@@ -84,7 +125,7 @@ def figures(before: Simulation, after: Simulation, metrics: dict) -> dict:
         | {"surface_layer": round(layer_ratio(before, after) or np.nan, 4)},
         "lpips": [round(metrics[shape]["lpips_alex"], 4) for shape in ("before", "after")],
         "relief_mm": {key: round(value, 3) for key, value in metrics["relief_mm"].items()},
-        "plain_p95_mm": round(metrics["plain_distortion_mm"]["p95"], 3),
+        "plain_p95_mm": round((metrics.get("plain_distortion_mm") or {}).get("p95", np.nan), 3),
         "seconds": round(metrics["seconds"]["total"], 1),
     }
 
@@ -99,3 +140,27 @@ def summarised(simulation: Simulation) -> dict[str, float]:
         "max": weighted_percentiles(value, volume, (99.9,))[0],
         "max_away": weighted_percentiles(value[away], volume[away], (99.9,))[0],
     }
+
+
+def draw(rows: list[dict], path: Path) -> None:
+    """Ratios over the mean relief, a panel per measure; hollow with the stage, grey what the paper's table needs."""
+    from matplotlib.figure import Figure
+
+    panels = {"max": "max (p99.9)", "max_away": "max away from the clamp", "surface_layer": "surface layer, mean"}
+    figure = Figure(figsize=(11, 3.8), layout="constrained")
+    kinds = sorted({(row["route"], row["weights"]) for row in rows})
+    for axes, (key, title) in zip(np.ravel(figure.subplots(1, len(panels))), panels.items(), strict=True):
+        if key == "max":
+            axes.axhspan(*PAPER, color="0.9", label="the paper's table would need")
+        for i, (route, kind) in enumerate(kinds):
+            for stage, fill in (("without", f"C{i}"), ("with", "none")):
+                chosen = [r for r in rows if (r["route"], r["weights"], r["stage"]) == (route, kind, stage)]
+                x, y = ([r["relief_mm"]["mean"] for r in chosen], [r["ratio"][key] for r in chosen])
+                label = f"{route}, {kind} weights" if stage == "without" else None
+                axes.scatter(x, y, 36, facecolors=fill, edgecolors=f"C{i}", label=label)
+        axes.axhline(1, color="0.6", linewidth=0.8)
+        axes.set_title(title, loc="left", fontsize=10)
+        axes.set_xlabel("mean relief, mm (hollow: with the stage)", fontsize=9)
+    figure.axes[0].set_ylabel("stress over that of the part before", fontsize=9)
+    figure.axes[0].legend(fontsize=8, frameon=False)
+    figure.savefig(path, dpi=110)
