@@ -92,9 +92,14 @@ class Architecture:
         return [self.width * min(2**level, 8) for level in range(self.poolings + 1)]
 
 
-PRESETS = {"paper": Architecture(56), "compact": Architecture(24, block_size=2, physics=True, coarse_mm=EDGE_MM)}
+PRESETS = {
+    "paper": Architecture(56),
+    "compact": Architecture(24, block_size=2, physics=True, coarse_mm=EDGE_MM),
+    "direct": Architecture(24, block_size=2, physics=True),
+}
 """``paper``: 46.7 M parameters, 3.4 TFLOP forward at 129³. ``compact``: 8.6 M, 92 GFLOP in the largest crop and half
-of that in the usual one; 1.2 GB with the backward pass."""
+of that in the usual one; 1.2 GB with the backward pass. ``direct``: the same without the stress on a coarse mesh: its
+input is Φ alone, as in the paper."""
 
 
 class StressNetwork(nn.Module):

@@ -13,8 +13,8 @@ from genmf_mi.core.errors import ConfigError
 class TrainConfig:
     """How the network is trained."""
 
-    preset: Literal["compact", "paper"] = "compact"
-    """compact (for a CPU too) or paper (for a GPU)."""
+    preset: Literal["compact", "direct", "paper"] = "compact"
+    """compact (for a CPU too), direct (the same without a coarse mesh) or paper (for a GPU)."""
     steps: int = 8000
     """Steps of the optimiser at most."""
     minutes: float = 0.0
