@@ -55,7 +55,7 @@ def main(
     *,
     caps_mm: tuple[float, ...] = CAPS_MM,
     routes: tuple[str, ...] = ROUTES,
-    weights: tuple[str, ...] = tuple(WEIGHTS),
+    terms: tuple[str, ...] = tuple(WEIGHTS),
     new: bool = True,
 ) -> None:
     """Refine with every cap, route and set of weights, with and without the stage, simulate, and draw a figure.
@@ -64,7 +64,7 @@ def main(
         inputs: What all benchmarks have in common; this one reads --assets.
         caps_mm: On the relief.
         routes: mesh, field or both.
-        weights: ours, paper or both.
+        terms: Weights of the losses: ours, paper or both.
         new: Make runs that are missing; otherwise tabulate those there are.
     """
     variant.use("auto")
@@ -72,7 +72,7 @@ def main(
     for path in inputs.asset_files(ASSETS):
         for route in routes:
             before: Simulation | None = None
-            for kind in weights:
+            for kind in terms:
                 for cap in caps_mm:
                     for stage, words in STAGES.items():
                         folder = inputs.out / "stress_regime" / f"{path.stem}_{route}_{kind}_{cap:g}_{stage}"
