@@ -36,7 +36,7 @@ CAPS_MM = (1.0, 2.0, 4.0, 10.0)
 ROUTES = ("mesh", "field")
 WEIGHTS = {
     "ours": (),
-    "paper": ("--weights.ssim", "0", "--weights.teacher-depth", "0", "--alignment", "paper", "--grain", "0"),
+    "paper": ("--ssim", "0", "--gradient-ssim", "0", "--teacher-depth", "0", "--alignment", "paper", "--grain", "0"),
 }
 """Those of the paper weigh the appearance without what holds plain areas."""
 STAGES = {"without": ("--no-stress",), "with": ("--stress",)}
