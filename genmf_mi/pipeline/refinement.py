@@ -53,6 +53,7 @@ def refine(
     *,
     textured: str | Path | Asset | None = None,
     up: str | None = None,
+    files_anywhere: bool = False,
     out: str | Path | None = None,
     scene: str | Path | None = None,
     references: tuple[str, ...] = (),
@@ -72,8 +73,8 @@ def refine(
     Args:
         asset: a file, the name of a bundled sample, a loaded :class:`genmf_mi.Asset`, or a shape as a generator holds
             it, :class:`genmf_mi.SdfAsset`, whose signed distance is refined in place of the vertices of a mesh.
-        textured: the mesh that has the colours of a generator's file. up: the axis of the file that points upwards,
-            see :func:`genmf_mi.load`.
+        textured: the mesh that has the colours of a generator's file. up: the axis of the file that points upwards;
+            files_anywhere: whether it may name files outside of its own folder, see :func:`genmf_mi.load`.
         out: folder for all files; None writes nothing. scene: the sample's own or ``default.xml`` if None.
         references: images to match instead of the texture, each ``image.png@azimuth,elevation``.
         verify: simulate the stress of the part ``before``, as it would be without the stress stage
@@ -91,7 +92,7 @@ def refine(
 
     with locked(out), tempfile.TemporaryDirectory(prefix="genmf-") as folder:
         progress.stage("loading")
-        asset = sources.load(asset, textured, up)
+        asset = sources.load(asset, textured, up, files_anywhere=files_anywhere)
         device = variant.use(config.device)
         lpips_weights.require(*config.networks)
         xml = Path(scene) if scene else scene_file.find(asset.name)
