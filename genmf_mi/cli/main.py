@@ -9,14 +9,18 @@ from __future__ import annotations
 import gc
 import io
 import os
+import signal
 import sys
-from contextlib import suppress
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from importlib import import_module
 
 from genmf_mi.core.errors import GenmfError
 
-INTERRUPTED, UNHEARD = 130, 141
-"""Exit codes after Ctrl-C, and where nobody reads the output any more, as shells have them: 128 + the signal."""
+INTERRUPTED, UNHEARD, TERMINATED = 130, 141, 143
+"""Exit codes after Ctrl-C, where nobody reads the output any more, and after SIGTERM, as shells have them: 128 + the
+signal."""
 
 COMMANDS = {
     "refine": ("ASSET", "refine a file or a bundled sample; writes to runs/NAME"),
@@ -53,7 +57,8 @@ def main(arguments: list[str] | None = None) -> int:
     """
     try:
         try:
-            return _run(sys.argv[1:] if arguments is None else arguments)
+            with _terminable():
+                return _run(sys.argv[1:] if arguments is None else arguments)
         finally:
             sys.stdout.flush()  # while it can still be told from other faults
     except BrokenPipeError:
@@ -62,6 +67,23 @@ def main(arguments: list[str] | None = None) -> int:
             with suppress(OSError, ValueError):
                 os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
         return UNHEARD
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Have SIGTERM end the process as an exception does, so that a run keeps its state and no scratch files stay."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def end(*_: object) -> None:
+        raise SystemExit(TERMINATED)
+
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _run(arguments: list[str]) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -109,18 +110,25 @@ def main(arguments: list[str]) -> int:
     from genmf_mi.pipeline.refinement import refine
 
     out = chosen.out or Path("runs") / Path(chosen.asset).stem
-    with TerminalProgress(quiet=chosen.quiet, shown=SHOWN) as progress:
-        result = refine(
-            chosen.asset,
-            chosen.config,
-            out=out,
-            verify=chosen.verify,
-            print_check=chosen.slicer if chosen.print_check else False,
-            force=chosen.force,
-            resume=chosen.resume,
-            progress=progress,
-            **chosen.options(),
-        )
+    try:
+        with TerminalProgress(quiet=chosen.quiet, shown=SHOWN) as progress:
+            result = refine(
+                chosen.asset,
+                chosen.config,
+                out=out,
+                verify=chosen.verify,
+                print_check=chosen.slicer if chosen.print_check else False,
+                force=chosen.force,
+                resume=chosen.resume,
+                progress=progress,
+                **chosen.options(),
+            )
+    except (KeyboardInterrupt, SystemExit):
+        from genmf_mi.pipeline.run_folder import RunFolder
+
+        kept = RunFolder(out).interrupted
+        print("continue with --resume" if kept else "stopped before anything was kept: start again", file=sys.stderr)
+        raise
     print_result(result.metrics, result.out or out)
     if result.out != out:
         print(f"the run in {out} stays as it is until the new one is complete")

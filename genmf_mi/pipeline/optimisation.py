@@ -110,7 +110,7 @@ def optimise(
 
     show: is given the vertices and the faces before the first iteration and at every checkpoint.
 
-    A KeyboardInterrupt ends the optimisation with the last complete iteration.
+    A KeyboardInterrupt ends the optimisation with the last complete iteration; a SystemExit saves that and goes on.
 
     Returns:
         Whether it was interrupted.
@@ -135,6 +135,10 @@ def optimise(
         interrupted = True
         optimisation.restore(checkpoint)  # it may have come in the middle of a step
         progress.stage("interrupted: finishing with the relief so far")
+    except SystemExit:  # the process was told to end (SIGTERM)
+        if run is not None:
+            run.save(checkpoint, optimisation.history[: checkpoint.iteration])
+        raise
     if run is not None:
         run.save(checkpoint, optimisation.history)
     return interrupted

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Collection
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -90,13 +91,15 @@ def refine(
     config, progress, timer = config or RefineConfig(), progress or Progress(), Timer()
     _require(config, out, (asset, textured, scene, *references), resume=resume, print_check=bool(print_check))
 
-    with locked(out), tempfile.TemporaryDirectory(prefix="genmf-") as folder:
+    with locked(out), tempfile.TemporaryDirectory(prefix="genmf-") as folder, ExitStack() as stack:
         progress.stage("loading")
         asset = sources.load(asset, textured, up, files_anywhere=files_anywhere)
         device = variant.use(config.device)
         lpips_weights.require(*config.networks)
         xml = Path(scene) if scene else scene_file.find(asset.name)
         run = opened(out, asset, config, xml, references, force=force, resume=resume) if out else None
+        if run:
+            stack.enter_context(run.resumable())
         timer.lap("load")
 
         problem = build_problem(asset, config, xml, Path(folder), references=references, progress=progress, timer=timer)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, fields, is_dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, fields, is_dataclass, replace
 from hashlib import sha256
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, cast
@@ -42,11 +42,15 @@ class RunFolder:
     ``metrics.json`` comes last.
 
     A run that replaces another one grows in a folder below and takes its place when it is complete; until then the old
-    one is whole. path: where the files are. replaces: the folder of the run that this one is to replace, or None.
+    one is whole.
+
+    path: where the files are. replaces: the folder of the run that this one is to replace, or None.
+    started_with: what ``config.yaml`` holds, once the folder is open.
     """
 
     path: Path
     replaces: Path | None = None
+    started_with: dict[str, Any] | None = None
 
     @classmethod
     def open(
@@ -84,7 +88,7 @@ class RunFolder:
         if resume and grown.interrupted:
             sweep(grown.path, FILES)
             grown.require(settings)
-            return grown
+            return replace(grown, started_with=settings)
         # Settings alone are of a run that failed before it had anything to lose
         claim_folder(
             path, "run", finished=(METRICS,), interrupted=(CHECKPOINT,), force=force, resume=resume,
@@ -93,14 +97,31 @@ class RunFolder:
         sweep(path, FILES)
         if resume:
             folder.require(settings)
-            return folder
+            return replace(folder, started_with=settings)
         if any((folder.path / name).exists() for name in (METRICS, CHECKPOINT)):
             grown.discard()
             folder = grown
         write_text(folder.path / CONFIG, yaml.safe_dump(settings, sort_keys=False))
         for name in (HISTORY, CHECKPOINT, METRICS, PREVIEW):
             (folder.path / name).unlink(missing_ok=True)
-        return folder
+        return replace(folder, started_with=settings)
+
+    @contextmanager
+    def resumable(self) -> Iterator[None]:
+        """Have errors inside say that what there is can be continued, if it can."""
+        try:
+            yield
+        except OutputError as error:
+            if not self.interrupted:
+                raise
+            raise OutputError(f"{error} Then continue with --resume.") from error
+
+    def _keep_settings(self) -> None:
+        """Write ``config.yaml`` again if somebody has deleted the folder: without it nobody knows whose the rest is."""
+        import yaml
+
+        if self.started_with is not None and not (self.path / CONFIG).exists():
+            write_text(self.path / CONFIG, yaml.safe_dump(self.started_with, sort_keys=False))
 
     def discard(self) -> None:
         """Remove what a run has written here; other files stay. Raises :class:`OutputError`."""
@@ -200,6 +221,7 @@ class RunFolder:
     def save(self, checkpoint: Checkpoint, history: Sequence[dict[str, Any]]) -> None:
         """Replace the history, then the checkpoint, so that a crash in between leaves a history that is too long,
         never one that is too short. Raises :class:`OutputError`."""
+        self._keep_settings()
         write_text(self.path / HISTORY, "".join(json.dumps(line) + "\n" for line in history))
         checkpoint.save(self.path / CHECKPOINT)
 
@@ -225,6 +247,7 @@ class RunFolder:
     def finish(self, metrics: dict[str, Any]) -> None:
         """Write ``metrics.json``, and remove the preview and, unless the run was interrupted, the checkpoint. A
         complete run then takes the place of the one that it replaces. Raises :class:`OutputError`."""
+        self._keep_settings()
         write_text(self.path / METRICS, json.dumps(metrics, indent=2) + "\n")
         (self.path / PREVIEW).unlink(missing_ok=True)
         if metrics.get("interrupted"):

@@ -146,7 +146,7 @@ def _decoded(path: str) -> Float32[ndarray, "h w 4"]:
     """RGBA, 0..1, of at most :data:`MOST_PIXELS` per side. Raises :class:`AssetError`."""
     try:
         if os.path.exists(path) and not os.path.isfile(path):
-            raise AssetError(f"the reference image {path} is no file. Give a PNG or JPEG.")
+            raise AssetError(f"cannot read the reference image {path}: it is no file. Give a PNG or JPEG.")
         with open(path, "rb") as file, open_image(file) as image:
             if image.width * image.height > LARGEST_PIXELS:
                 raise AssetError(

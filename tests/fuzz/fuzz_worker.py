@@ -16,7 +16,7 @@ import time
 import traceback
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 SECONDS, LONGEST, MEMORY = 60.0, 300.0, 2 * 1024**3
 """Limits for one input: of CPU time, since the machine may be busy, of time, and of memory above that at the start."""
@@ -30,7 +30,7 @@ class Worker:
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
-        self._errors = tempfile.TemporaryFile()  # noqa: SIM115  (of the process, which outlives this call)
+        self._errors: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  (of the process, which outlives this call)
         self._base = 0
 
     def run(self, kind: str, path: Path) -> dict[str, Any]:
@@ -66,11 +66,12 @@ class Worker:
             self._process.kill()
             self._process.communicate()
             self._process = None
+        self._errors.close()
 
     def _started(self) -> subprocess.Popen[bytes]:
         if self._process is None:
-            self._errors.seek(0)
-            self._errors.truncate()
+            self._errors.close()
+            self._errors = tempfile.TemporaryFile()  # noqa: SIM115
             one_thread = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "MKL", "OPENBLAS")}
             self._process = subprocess.Popen(
                 [sys.executable, str(HERE / "fuzz_worker.py")], stdin=subprocess.PIPE, stdout=subprocess.PIPE,

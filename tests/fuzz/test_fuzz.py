@@ -1,4 +1,4 @@
-"""Two hundred damaged and hostile inputs end in a part to refine or in an error of ours; `make fuzz` tries thousands."""
+"""Two hundred damaged inputs end in a part to refine or in an error of ours; ``make fuzz`` tries thousands."""
 
 from __future__ import annotations
 
