@@ -36,6 +36,9 @@ HALVED_SHARE = 0.65
 _MOST_AT_AN_EDGE = 200
 """Triangles; two are right, and some dozens may be meant."""
 
+_MOST_CAVITIES = 200
+"""With more between overlapping components these are shreds, whose union is as jagged as they are: it is rebuilt."""
+
 _INVENTED = 0.2
 """Share of the area of a rebuilt solid that may lie where the asset has no surface."""
 
@@ -208,7 +211,7 @@ def _repaired(name: str, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.nd
     if pieces and area[stray].sum() <= _STRAY * area.sum():
         changes["stray_faces_dropped"] = int(stray.sum())
         new_vertices, new_faces, united = _united(pieces)
-        if is_solid(new_vertices, new_faces):
+        if united.get("cavities_filled", 0) <= _MOST_CAVITIES and is_solid(new_vertices, new_faces):
             return new_vertices, new_faces, changes | united
     new_vertices, new_faces, united = _rebuilt(name, vertices, faces)
     return new_vertices, new_faces, changes | {"stray_faces_dropped": 0, "rebuilt": True} | united

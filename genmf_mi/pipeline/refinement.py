@@ -9,8 +9,8 @@ result.vertices_mm, result.faces, result.metrics["after"]["lpips_alex"]
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Collection
-from contextlib import ExitStack
+from collections.abc import Collection, Generator
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -97,9 +97,8 @@ def refine(
         device = variant.use(config.device)
         lpips_weights.require(*config.networks)
         xml = Path(scene) if scene else scene_file.find(asset.name)
-        run = opened(out, asset, config, xml, references, force=force, resume=resume) if out else None
-        if run:
-            stack.enter_context(run.resumable())
+        claim = opened(out, asset, config, xml, references, force=force, resume=resume)
+        run = stack.enter_context(claim)
         timer.lap("load")
 
         problem = build_problem(asset, config, xml, Path(folder), references=references, progress=progress, timer=timer)
@@ -158,8 +157,9 @@ def stood(
     return problem, evaluator, best_displacement(problem, evaluator, progress), stands
 
 
+@contextmanager
 def opened(
-    out: str | Path,
+    out: str | Path | None,
     asset: Asset | SdfAsset,
     config: RefineConfig,
     xml: Path,
@@ -167,12 +167,20 @@ def opened(
     *,
     force: bool,
     resume: bool,
-) -> RunFolder:
-    """The folder of the run. Raises as :meth:`RunFolder.open`; files that are missing are missed later."""
+) -> Generator[RunFolder | None]:
+    """The folder of the run, None without ``out``; errors inside say whether the run can be continued.
+
+    Raises as :meth:`RunFolder.open`; files that are missing are missed later.
+    """
+    if out is None:
+        yield None
+        return
     pictures = [Path(text.rpartition("@")[0]) for text in references]
     turns = [text.rpartition("@")[2] for text in references]
     inputs = {"asset": fingerprint(asset), "scene": fingerprint(xml), "references": fingerprint(pictures, turns)}
-    return RunFolder.open(out, asset.name, config, inputs, force=force, resume=resume)
+    run = RunFolder.open(out, asset.name, config, inputs, force=force, resume=resume)
+    with run.resumable():
+        yield run
 
 
 def _require(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, is_dataclass, replace
 from hashlib import sha256
@@ -107,7 +107,7 @@ class RunFolder:
         return replace(folder, started_with=settings)
 
     @contextmanager
-    def resumable(self) -> Iterator[None]:
+    def resumable(self) -> Generator[None]:
         """Have errors inside say that what there is can be continued, if it can."""
         try:
             yield

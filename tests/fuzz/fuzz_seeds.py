@@ -6,11 +6,11 @@ import base64
 import io
 import json
 import tempfile
-import zipfile
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
 
+import fuzz_threemf
 import numpy as np
 import torch
 import trimesh
@@ -202,53 +202,8 @@ def _stl() -> tuple[Case, ...]:
 
 def _threemf() -> tuple[Case, ...]:
     vertices, faces = ball(1)
-    points = "".join(f'<vertex x="{x:.3f}" y="{y:.3f}" z="{z:.3f}"/>' for x, y, z in 20 * vertices)
-
-    def model(resources: str, triangles: str) -> bytes:
-        return (
-            '<?xml version="1.0" encoding="UTF-8"?><model unit="millimeter" xml:lang="en-US" '
-            'xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02" '
-            'xmlns:m="http://schemas.microsoft.com/3dmanufacturing/material/2015/02"><resources>'
-            f'{resources}<object id="3" type="model"><mesh><vertices>{points}</vertices>'
-            f'<triangles>{triangles}</triangles></mesh></object><object id="4" type="model"><components>'
-            '<component objectid="3" transform="1 0 0 0 1 0 0 0 1 5 6 7"/></components></object></resources>'
-            '<build><item objectid="4"/></build></model>'
-        ).encode()
-
-    def archive(*members: tuple[str, bytes]) -> Case:
-        stream = io.BytesIO()
-        types = (
-            '<?xml version="1.0"?><Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">'
-            '<Default Extension="rels" ContentType="application/vnd.openxmlformats-package.relationships+xml"/>'
-            '<Default Extension="png" ContentType="image/png"/><Default Extension="model" '
-            'ContentType="application/vnd.ms-package.3dmanufacturing-3dmodel+xml"/></Types>'
-        )
-        relation = (
-            '<?xml version="1.0"?><Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships">'
-            '<Relationship Target="{}" Id="rel0" Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/{}"/>'
-            "</Relationships>"
-        )
-        with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as file:
-            file.writestr("[Content_Types].xml", types)
-            file.writestr("_rels/.rels", relation.format("/3D/3dmodel.model", "3dmodel"))
-            if len(members) > 1:
-                file.writestr("3D/_rels/3dmodel.model.rels", relation.format("/3D/Texture/a.png", "3dtexture"))
-            for name, content in members:
-                file.writestr(name, content)
-        return Case("3mf", {"a.3mf": stream.getvalue()}, "a.3mf")
-
-    painted = "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}" pid="2" p1="{a % 2}"/>' for a, b, c in faces)
-    group = '<m:colorgroup id="2"><m:color color="#C86432FF"/><m:color color="#202020FF"/></m:colorgroup>'
-    mapped = "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}" pid="2" p1="{a}" p2="{b}" p3="{c}"/>' for a, b, c in faces)
-    coordinates = "".join(f'<m:tex2coord u="{u:.3f}" v="{v:.3f}"/>' for u, v in uv_of(vertices))
-    image = (
-        '<m:texture2d id="1" path="/3D/Texture/a.png" contenttype="image/png" tilestyleu="mirror"/>'
-        f'<m:texture2dgroup id="2" texid="1">{coordinates}</m:texture2dgroup>'
-    )
-    return (
-        archive(("3D/3dmodel.model", model(group, painted))),
-        archive(("3D/3dmodel.model", model(image, mapped)), ("3D/Texture/a.png", encoded(texture()))),
-    )
+    made = fuzz_threemf.files(vertices, faces, uv_of(vertices), encoded(texture()))
+    return tuple(Case("3mf", {"a.3mf": data}, "a.3mf") for data in made)
 
 
 @cache
