@@ -12,6 +12,7 @@ import numpy as np
 from genmf_mi.assets.albedo import Albedo, Material, Texture
 from genmf_mi.assets.overlays import Overlay, outermost, split
 from genmf_mi.assets.part import Part, join
+from genmf_mi.assets.reading import reading
 from genmf_mi.core.errors import AssetError, ConfigError, GenmfError
 from genmf_mi.mesh.nearest import Nearest, barycentric
 
@@ -162,7 +163,7 @@ def _require_sane(where: object, points: np.ndarray, albedo: Albedo) -> None:
         raise AssetError(f"{where} has a base colour that is no number (NaN or infinite). Repair or export it again.")
 
 
-def load(path: str | Path, up: str | None = None) -> Asset:
+def load(path: str | Path, up: str | None = None, *, files_anywhere: bool = False) -> Asset:
     """Read a GLB, GLTF, OBJ (with MTL), PLY, 3MF or STL file.
 
     Colours become linear RGB. By their specification glTF textures are sRGB-encoded and its factors and vertex colours
@@ -171,6 +172,7 @@ def load(path: str | Path, up: str | None = None) -> Asset:
     Args:
         up: ``x``, ``-x``, ``y``, ``-y``, ``z`` or ``-z``, the axis of the file that points upwards; None takes z for
             3MF and STL and y otherwise.
+        files_anywhere: let it name textures, materials and buffers outside of its own folder.
 
     Raises:
         AssetError: the file is missing, damaged, of an unknown kind, or holds no mesh; or a texture is missing.
@@ -185,7 +187,8 @@ def load(path: str | Path, up: str | None = None) -> Asset:
     if path.stat().st_size == 0:
         raise AssetError(f"{path} is empty. Download or export it again.")
     try:
-        parts = _reader(suffix)(path)
+        with reading(anywhere=files_anywhere):
+            parts = _reader(suffix)(path)
     except GenmfError:
         raise
     except Exception as error:  # third-party parsers raise anything at all on damaged files

@@ -9,7 +9,8 @@ result.vertices_mm, result.faces, result.metrics["after"]["lpips_alex"]
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Collection
+from collections.abc import Collection, Generator
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -53,6 +54,7 @@ def refine(
     *,
     textured: str | Path | Asset | None = None,
     up: str | None = None,
+    files_anywhere: bool = False,
     out: str | Path | None = None,
     scene: str | Path | None = None,
     references: tuple[str, ...] = (),
@@ -72,8 +74,8 @@ def refine(
     Args:
         asset: a file, the name of a bundled sample, a loaded :class:`genmf_mi.Asset`, or a shape as a generator holds
             it, :class:`genmf_mi.SdfAsset`, whose signed distance is refined in place of the vertices of a mesh.
-        textured: the mesh that has the colours of a generator's file. up: the axis of the file that points upwards,
-            see :func:`genmf_mi.load`.
+        textured: the mesh that has the colours of a generator's file. up: the axis of the file that points upwards;
+            files_anywhere: whether it may name files outside of its own folder, see :func:`genmf_mi.load`.
         out: folder for all files; None writes nothing. scene: the sample's own or ``default.xml`` if None.
         references: images to match instead of the texture, each ``image.png@azimuth,elevation``.
         verify: simulate the stress of the part ``before``, as it would be without the stress stage
@@ -89,13 +91,14 @@ def refine(
     config, progress, timer = config or RefineConfig(), progress or Progress(), Timer()
     _require(config, out, (asset, textured, scene, *references), resume=resume, print_check=bool(print_check))
 
-    with locked(out), tempfile.TemporaryDirectory(prefix="genmf-") as folder:
+    with locked(out), tempfile.TemporaryDirectory(prefix="genmf-") as folder, ExitStack() as stack:
         progress.stage("loading")
-        asset = sources.load(asset, textured, up)
+        asset = sources.load(asset, textured, up, files_anywhere=files_anywhere)
         device = variant.use(config.device)
         lpips_weights.require(*config.networks)
         xml = Path(scene) if scene else scene_file.find(asset.name)
-        run = opened(out, asset, config, xml, references, force=force, resume=resume) if out else None
+        claim = opened(out, asset, config, xml, references, force=force, resume=resume)
+        run = stack.enter_context(claim)
         timer.lap("load")
 
         problem = build_problem(asset, config, xml, Path(folder), references=references, progress=progress, timer=timer)
@@ -154,8 +157,9 @@ def stood(
     return problem, evaluator, best_displacement(problem, evaluator, progress), stands
 
 
+@contextmanager
 def opened(
-    out: str | Path,
+    out: str | Path | None,
     asset: Asset | SdfAsset,
     config: RefineConfig,
     xml: Path,
@@ -163,12 +167,20 @@ def opened(
     *,
     force: bool,
     resume: bool,
-) -> RunFolder:
-    """The folder of the run. Raises as :meth:`RunFolder.open`; files that are missing are missed later."""
+) -> Generator[RunFolder | None]:
+    """The folder of the run, None without ``out``; errors inside say whether the run can be continued.
+
+    Raises as :meth:`RunFolder.open`; files that are missing are missed later.
+    """
+    if out is None:
+        yield None
+        return
     pictures = [Path(text.rpartition("@")[0]) for text in references]
     turns = [text.rpartition("@")[2] for text in references]
     inputs = {"asset": fingerprint(asset), "scene": fingerprint(xml), "references": fingerprint(pictures, turns)}
-    return RunFolder.open(out, asset.name, config, inputs, force=force, resume=resume)
+    run = RunFolder.open(out, asset.name, config, inputs, force=force, resume=resume)
+    with run.resumable():
+        yield run
 
 
 def _require(

@@ -26,7 +26,7 @@ from genmf_mi.pipeline.displacement import Displacement
 from genmf_mi.pipeline.evaluator import Evaluator, unseen_views
 from genmf_mi.pipeline.print_check import PrintCheck
 from genmf_mi.pipeline.problem import RefinementProblem
-from genmf_mi.pipeline.run_folder import AS_PRINTED, BEFORE_AFTER, REPORT, RunFolder
+from genmf_mi.pipeline.run_folder import AS_PRINTED, BEFORE_AFTER, EXR, REPORT, RunFolder
 from genmf_mi.render import bridge
 from genmf_mi.render.exr import write_buffers
 from genmf_mi.report import Report, View, write_before_after, write_report
@@ -117,11 +117,12 @@ def conclude(
         relief_mm=outcome.relief_mm,
         metrics=metrics,
         history=outcome.history,
-        out=run.path if run else None,
+        out=run.home(interrupted=outcome.interrupted) if run else None,
     )
     if run is not None and writing is not None:
         progress.stage("writing the files")
-        metrics["files"] = writing.result()
+        written = writing.result()
+        metrics["files"] = {kind: str((result.out or run.path) / Path(file).name) for kind, file in written.items()}
         # The report tells the time too, so far as it is known
         metrics["seconds"] = {"total": timer.total, **timer.seconds}
         write_pictures(outcome, run.path, buffers, rgb, metrics, save_exr=save_exr)
@@ -282,7 +283,7 @@ def write_pictures(
     write_report(folder / REPORT, report)
     if save_exr:
         for name, shape in buffers.items():
-            write_buffers(folder / "exr" / name, scorer.views, shape)
+            write_buffers(folder / EXR / name, scorer.views, shape)
 
 
 BACKED_OFF = 0.01

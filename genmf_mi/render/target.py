@@ -7,6 +7,8 @@ object in linear light; the lights are grey, so it is max(R, G, B) of the linear
 
 from __future__ import annotations
 
+import os
+import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -19,6 +21,8 @@ from numpy import ndarray
 from PIL import Image, UnidentifiedImageError
 from skimage import transform
 
+from genmf_mi.assets.part import open_image
+from genmf_mi.assets.reading import LARGEST_PIXELS
 from genmf_mi.core.colour import to_linear, value
 from genmf_mi.core.errors import AssetError, ConfigError
 from genmf_mi.render import bridge
@@ -29,6 +33,8 @@ _transform: Any = transform  # its annotations are incomplete
 
 ALBEDO, RED, GREEN, BLUE = "vertex_albedo", "vertex_red", "vertex_green", "vertex_blue"
 FILE = "reference.ply"
+MOST_PIXELS = 2048
+"""Per side of a reference image; larger ones are scaled down."""
 FINEST = 700_000
 """The reference mesh is the part's mesh with every triangle split into four as often as this many faces allow, so that
 it resolves the texture more finely than the part itself."""
@@ -124,11 +130,7 @@ def read_picture(text: str) -> Picture:
         view = View.parse(angles, ",")
     except ValueError as error:
         raise ConfigError(f"write a reference as image.png@azimuth,elevation in degrees, not {text!r}.") from error
-    try:
-        with Image.open(path) as image:
-            pixels = np.asarray(image.convert("RGBA"), dtype=np.float32) / 255
-    except (OSError, UnidentifiedImageError) as error:
-        raise AssetError(f"cannot read the reference image {path}: {error}.") from error
+    pixels = _decoded(path)
     coverage = pixels[..., 3]
     if coverage.min() > 0.99:
         corners = pixels[[0, 0, -1, -1], [0, -1, 0, -1], :3]
@@ -138,6 +140,30 @@ def read_picture(text: str) -> Picture:
             f"the reference image {path} is empty: everything in it is transparent or of the background's colour."
         )
     return Picture(view, np.concatenate([to_linear(pixels[..., :3]).astype(np.float32), coverage[..., None]], axis=-1))
+
+
+def _decoded(path: str) -> Float32[ndarray, "h w 4"]:
+    """RGBA, 0..1, of at most :data:`MOST_PIXELS` per side. Raises :class:`AssetError`."""
+    try:
+        if os.path.exists(path) and not os.path.isfile(path):
+            raise AssetError(f"cannot read the reference image {path}: it is no file. Give a PNG or JPEG.")
+        with open(path, "rb") as file, open_image(file) as image:
+            if image.width * image.height > LARGEST_PIXELS:
+                raise AssetError(
+                    f"the reference image {path} has {image.width} × {image.height} pixels. Scale it down to "
+                    f"{MOST_PIXELS} × {MOST_PIXELS}."
+                )
+            shrink = -(-max(image.size) // MOST_PIXELS)
+            picture = image.convert("RGBA")
+            if shrink > 1:
+                picture = picture.convert("RGBa").reduce(shrink).convert("RGBA")
+            return np.asarray(picture, dtype=np.float32) / np.float32(255)
+    except Image.DecompressionBombError:
+        raise AssetError(
+            f"the reference image {path} has too many pixels. Scale it down to {MOST_PIXELS} × {MOST_PIXELS}."
+        ) from None
+    except (OSError, UnidentifiedImageError, SyntaxError, ValueError, EOFError, struct.error) as error:
+        raise AssetError(f"cannot read the reference image {path}: {error}.") from error
 
 
 def _extent(mask: Float[ndarray, "R C"]) -> tuple[int, int]:

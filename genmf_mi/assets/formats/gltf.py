@@ -15,6 +15,7 @@ import numpy as np
 from genmf_mi.assets.albedo import CLAMP, MIRROR, REPEAT, Material, Texture
 from genmf_mi.assets.formats.gltf_data import GltfData
 from genmf_mi.assets.part import Part, decode_alpha, decode_image
+from genmf_mi.assets.reading import current
 from genmf_mi.core.errors import AssetError
 
 _WRAP = {10497: REPEAT, 33071: CLAMP, 33648: MIRROR}
@@ -80,6 +81,7 @@ class _Reader:
                 if primitive.get("mode", 4) not in (4, 5, 6):
                     continue  # points and lines have no surface
                 part = self.primitive(primitive, weights)
+                current().take_faces(len(part.faces), self.path)
                 if "skin" in node and "JOINTS_0" in primitive["attributes"]:
                     parts.append(self.posed(part, primitive["attributes"], self.tree["skins"][node["skin"]], world))
                 else:
