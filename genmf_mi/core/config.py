@@ -80,6 +80,12 @@ class RefineConfig:
     """No point of the surface moves farther than this; textures of little contrast are given less."""
     nozzle_mm: float = 0.4
     """Relief finer than the nozzle is filtered out; walls are kept at twice this thickness."""
+    normal_map: bool = True
+    """Shade the object as its normal map says, where the file has one: relief that the texture pretends."""
+    occlusion_map: bool = True
+    """Take from the ambient light what its occlusion map says."""
+    emissive_map: bool = True
+    """Add the light that its emissive map gives off. A picture that is nowhere else is the texture in any case."""
     method: Literal["relief", "displacement"] = "relief"
     """Optimise the relief, or only offset the surface by brightness (the baseline)."""
     iterations: int = 150

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from genmf_mi.assets.asset import Asset
+from genmf_mi.assets.maps import Look
 from genmf_mi.assets.sdf_asset import SdfAsset
-from genmf_mi.core.colour import to_srgb, value
 from genmf_mi.core.config import RefineConfig
 from genmf_mi.core.errors import AssetError, SolidError
 from genmf_mi.core.frame import UPRIGHT, Frame, Up
@@ -30,6 +30,7 @@ from genmf_mi.mesh.measures import signed_volume
 from genmf_mi.mesh.remesh import shortest_edge
 from genmf_mi.pipeline import evaluator
 from genmf_mi.pipeline.detail import DETAIL_MM, FULL_CONTRAST, SOFT, crispness, local_contrast, local_range
+from genmf_mi.pipeline.surface import InitialSurface, initial_surface
 from genmf_mi.render import bridge, target
 from genmf_mi.render import scene as scenes
 from genmf_mi.render.scene import RenderSettings, Scene
@@ -56,24 +57,6 @@ the surface out of it bears no finer relief than its cells."""
 
 
 @dataclass(frozen=True)
-class InitialSurface:
-    """The surface before refinement, in the normalised frame.
-
-    vertices, normals: ``float64 [V,3]``, the normals of unit length. faces: ``int64 [F,3]``. rgb: ``[V,3]``, linear.
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    normals: np.ndarray
-    rgb: np.ndarray
-
-    @property
-    def brightness(self) -> np.ndarray:
-        """HSV value of the albedo per vertex ``[V]``, sRGB-encoded."""
-        return to_srgb(value(self.rgb))
-
-
-@dataclass(frozen=True)
 class ScenePair:
     """The part in one colour, and the textured object that it is compared with, at one resolution."""
 
@@ -90,13 +73,14 @@ class ScenePair:
 class RefinementProblem:
     """The initial part and what it is compared with.
 
-    asset: as it was given; an :class:`SdfAsset` without small components.
+    asset: as it was given, with the maps that are wanted; an :class:`SdfAsset` without small components.
     bounds: of the displacement of each vertex, normalised units; plain areas are held.
     loose_bounds: the same without regard to what is plain, for the displacement by brightness.
     training, evaluation: scenes at the resolutions of the optimisation and of the scores; they share the reference,
         which is resized for either.
-    low_pass: of :data:`DETAIL_MM` on the surface, on the CPU. broad: ``[V]``, what it keeps of the brightness.
-    contrast: :func:`local_contrast` of the brightness; cap_mm: the cap that it permits.
+    low_pass: of :data:`DETAIL_MM` on the surface, on the CPU. detail: ``[V]``, by how much what is seen differs from
+        its low-frequency component.
+    contrast: :func:`local_contrast` of that; cap_mm: the cap that it permits.
     report: what was done to make the part solid.
     """
 
@@ -108,7 +92,7 @@ class RefinementProblem:
     training: ScenePair
     evaluation: ScenePair
     low_pass: LowPass
-    broad: np.ndarray
+    detail: np.ndarray
     contrast: float
     cap_mm: float
     report: dict[str, Any]
@@ -138,6 +122,7 @@ def build_problem(
         SceneError: the scene file cannot be used.
     """
     progress, timer = progress or Progress(), timer or Timer()
+    asset = asset.with_maps(normal=config.normal_map, occlusion=config.occlusion_map, emission=config.emissive_map)
     if not asset.textured and not references:
         raise AssetError(
             f"{asset.name} has no texture and no colours, so there is nothing for the relief to show. "
@@ -162,13 +147,13 @@ def build_problem(
     frame = Frame.of(body.vertices, config.size_mm).standing(DIRECTIONS.get(config.stand, UPRIGHT))
     surface, training, evaluation = build_scenes(asset, body, frame, config, xml, folder, pictures)
     low_pass = LowPass(surface.vertices, surface.faces, DETAIL_MM / frame.mm_per_unit)
-    broad = low_pass.of(surface.brightness)
-    contrast = local_contrast(surface.brightness, broad)
+    detail = surface.contrast(low_pass)
+    contrast = local_contrast(detail)
     cap_mm = config.max_relief_mm * (1.0 if references else min(1.0, contrast / FULL_CONTRAST))
     bounds, loose = bounds_of(surface, frame, training, cap_mm, config.nozzle_mm)
     timer.lap("scenes")
     return RefinementProblem(
-        asset, frame, surface, bounds, loose, training, evaluation, low_pass, broad, contrast, cap_mm, body.report
+        asset, frame, surface, bounds, loose, training, evaluation, low_pass, detail, contrast, cap_mm, body.report
     )
 
 
@@ -188,7 +173,7 @@ def bounds_of(
     if training.reference.pictures:
         return loose, loose
     points = surface.vertices * frame.mm_per_unit
-    return loose.capped(relief_cap(points, surface.brightness, cap_mm) / frame.mm_per_unit), loose
+    return loose.capped(relief_cap(points, surface.signals, cap_mm) / frame.mm_per_unit), loose
 
 
 def standing(problem: RefinementProblem, up: Up, config: RefineConfig) -> RefinementProblem:
@@ -233,19 +218,22 @@ def build_scenes(
     def albedo(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
         return asset.closest_albedo(frame.restore(points), normals)
 
+    def look(points: np.ndarray, normals: np.ndarray, spacing: float) -> Look | None:
+        return asset.look(frame.restore(points), normals, spacing / frame.scale)
+
     ply = folder / "part.ply"
     normals = bridge.write_ply(ply, vertices, faces)
     optimised = RenderSettings(radius, config.resolution, config.samples)
     training = ScenePair(
         scenes.load(xml, ply, **asdict(optimised), silhouettes=config.silhouettes),
-        target.build_reference(xml, folder, vertices, faces, normals, albedo, optimised, pictures),
+        target.build_reference(xml, folder, vertices, faces, normals, albedo, optimised, pictures, look),
     )
     # Layers are looked at, and not optimised: on a wall they leave slopes without any gradient
     bulge = PRINTERS[config.printer].visible_bulge
     scored = RenderSettings(radius, evaluator.RESOLUTION, evaluator.SAMPLES, bulge)
     evaluation = ScenePair(scenes.load(xml, ply, **asdict(scored)), training.reference)
     evaluation.part.stand(frame.up)
-    return InitialSurface(vertices, faces, normals, albedo(vertices, normals)), training, evaluation
+    return initial_surface(asset, frame, vertices, faces, normals), training, evaluation
 
 
 def extract(asset: SdfAsset) -> tuple[SdfAsset, solid.Solid]:
