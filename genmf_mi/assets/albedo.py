@@ -51,9 +51,9 @@ class Texture:
         """The picture at 1/``times`` of its resolution, for data that are looked up so many texels apart."""
         from PIL import Image
 
-        height, width = (max(1, side // times) for side in self.pixels.shape[:2])
-        if times < 2 or (height, width) == self.pixels.shape[:2]:
+        if times < 2:
             return self
+        height, width = (max(1, side // times) for side in self.pixels.shape[:2])
         image = Image.fromarray(self.pixels).resize((width, height), Image.Resampling.BOX)
         return replace(self, pixels=np.asarray(image), alpha=None)
 
