@@ -15,6 +15,7 @@ from genmf_mi.assets.maps import Look, PlacedMaps
 from genmf_mi.assets.overlays import Overlay, outermost, split
 from genmf_mi.assets.part import Part, join, placed_maps
 from genmf_mi.core.errors import AssetError, ConfigError, GenmfError
+from genmf_mi.core.text import printable
 from genmf_mi.mesh.nearest import Nearest, barycentric
 
 FORMATS = (".glb", ".gltf", ".obj", ".ply", ".3mf", ".stl")
@@ -104,7 +105,7 @@ class Asset:
         if np.ptp(used.reshape(-1, 3), axis=0).max() == 0:
             raise AssetError(f"{where} has no size: all its vertices are in one place. Export it again.")
         notes = tuple(dict.fromkeys(note for part in parts for note in part.notes))
-        return cls(name, vertices, faces, albedo, source, placed, notes)
+        return cls(printable(name), vertices, faces, albedo, source, placed, notes)
 
     @property
     def textured(self) -> bool:

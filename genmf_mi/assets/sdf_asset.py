@@ -89,6 +89,11 @@ class SdfAsset:
         """Whether the colour varies, so that there is detail for the relief to show."""
         return self.coloured is not None and self.coloured.textured
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was left out or mended on reading the surface with the colours."""
+        return () if self.coloured is None else self.coloured.notes
+
     def extractor(self, device: str = "cpu") -> FlexiCubes:
         """Extracts surfaces from ``phi``, ``deformation`` and ``weights`` as tensors."""
         import torch

@@ -14,11 +14,11 @@ from genmf_mi.assets.maps import Look
 from genmf_mi.assets.sdf_asset import SdfAsset
 from genmf_mi.core.config import RefineConfig
 from genmf_mi.core.errors import AssetError, SolidError
-from genmf_mi.core.frame import UPRIGHT, Frame, Up
+from genmf_mi.core.frame import Frame, Up
 from genmf_mi.core.printer import PRINTERS
 from genmf_mi.core.progress import Progress
 from genmf_mi.core.timer import Timer
-from genmf_mi.geometry.displacement_bounds import DisplacementBounds, displacement_bounds
+from genmf_mi.geometry.displacement_bounds import DisplacementBounds, base, displacement_bounds
 from genmf_mi.geometry.low_pass import LowPass
 from genmf_mi.geometry.mesh import MeshParameterization
 from genmf_mi.geometry.parameterization import Parameterization
@@ -30,6 +30,7 @@ from genmf_mi.mesh.measures import signed_volume
 from genmf_mi.mesh.remesh import shortest_edge
 from genmf_mi.pipeline import evaluator
 from genmf_mi.pipeline.detail import DETAIL_MM, FULL_CONTRAST, SOFT, crispness, local_contrast, local_range
+from genmf_mi.pipeline.poses import Pose, named, pose
 from genmf_mi.pipeline.surface import InitialSurface, initial_surface
 from genmf_mi.render import bridge, target
 from genmf_mi.render import scene as scenes
@@ -40,15 +41,6 @@ from genmf_mi.sdf.grid import without_small_components
 COARSE_SHARE, COARSEST_MM = 0.35, 1.3
 """Of the face budget, for the triangles that are everywhere where the texture has crisp edges; and how long their edges
 may be: with longer ones too much is lost beside the crispest places."""
-DIRECTIONS: dict[str, Up] = {
-    "upright": UPRIGHT,
-    "upside-down": (0.0, -1.0, 0.0),
-    "on-back": (0.0, 0.0, 1.0),
-    "on-front": (0.0, 0.0, -1.0),
-    "on-left": (1.0, 0.0, 0.0),
-    "on-right": (-1.0, 0.0, 0.0),
-}
-"""What points away from the print bed, by the way of standing."""
 ONE_BRIGHTNESS = 0.01
 """Range of the encoded albedo below which the object has one brightness."""
 FIELD_SMOOTHING = 11.0
@@ -81,7 +73,7 @@ class RefinementProblem:
     low_pass: of :data:`DETAIL_MM` on the surface, on the CPU. detail: ``[V]``, by how much what is seen differs from
         its low-frequency component.
     contrast: :func:`local_contrast` of that; cap_mm: the cap that it permits.
-    report: what was done to make the part solid.
+    report: what was done to make the part solid. pose: how it stands on the bed.
     """
 
     asset: Asset | SdfAsset
@@ -96,6 +88,7 @@ class RefinementProblem:
     contrast: float
     cap_mm: float
     report: dict[str, Any]
+    pose: Pose
 
 
 def build_problem(
@@ -143,8 +136,9 @@ def build_problem(
         timer.lap("remesh")
 
     progress.stage("building scenes")
-    # Where the best way of standing is asked for, it is looked for from upright
-    frame = Frame.of(body.vertices, config.size_mm).standing(DIRECTIONS.get(config.stand, UPRIGHT))
+    frame = Frame.of(body.vertices, config.size_mm)
+    posed = pose(config.stand, frame.normalise(body.vertices), body.faces)
+    frame = frame.standing(posed.up)
     surface, training, evaluation = build_scenes(asset, body, frame, config, xml, folder, pictures)
     low_pass = LowPass(surface.vertices, surface.faces, DETAIL_MM / frame.mm_per_unit)
     detail = surface.contrast(low_pass)
@@ -153,7 +147,19 @@ def build_problem(
     bounds, loose = bounds_of(surface, frame, training, cap_mm, config.nozzle_mm)
     timer.lap("scenes")
     return RefinementProblem(
-        asset, frame, surface, bounds, loose, training, evaluation, low_pass, detail, contrast, cap_mm, body.report
+        asset,
+        frame,
+        surface,
+        bounds,
+        loose,
+        training,
+        evaluation,
+        low_pass,
+        detail,
+        contrast,
+        cap_mm,
+        body.report,
+        posed,
     )
 
 
@@ -183,7 +189,9 @@ def standing(problem: RefinementProblem, up: Up, config: RefineConfig) -> Refine
     frame = problem.frame.standing(up)
     problem.evaluation.part.stand(up)
     bounds, loose = bounds_of(problem.surface, frame, problem.training, problem.cap_mm, config.nozzle_mm)
-    return replace(problem, frame=frame, bounds=bounds, loose_bounds=loose)
+    unsteady = len(base(problem.surface.vertices, problem.surface.faces, up)) == 0
+    posed = replace(problem.pose, name=named(np.array(up))[0], up=up, unsteady=unsteady)
+    return replace(problem, frame=frame, bounds=bounds, loose_bounds=loose, pose=posed)
 
 
 def mesh_finely(asset: Asset, body: solid.Solid, config: RefineConfig) -> solid.Solid:

@@ -17,7 +17,7 @@ from genmf_mi.core.config import RefineConfig
 from genmf_mi.core.progress import Progress
 from genmf_mi.core.timer import Timer
 from genmf_mi.fabrication import files
-from genmf_mi.fabrication.checks import check
+from genmf_mi.fabrication.checks import check, pieces
 from genmf_mi.geometry.parameterization import RefinedSurface
 from genmf_mi.geometry.plain_areas import is_plain
 from genmf_mi.mesh.measures import vertex_areas
@@ -202,6 +202,10 @@ def metrics_of(outcome: Outcome, scores: dict[str, Any], part_mm: np.ndarray) ->
         "solid": {**problem.report, **report, **check(part_mm, surface.faces)},
         "nonfinite_gradients": sum(record.get("nonfinite_gradients", 0) for record in outcome.history),
     }
+    if apart := pieces(part_mm, surface.faces):
+        metrics["pieces"] = apart
+    if problem.asset.notes:
+        metrics["asset_notes"] = list(problem.asset.notes)
     if outcome.verification:
         metrics["stress"] = outcome.verification
     if outcome.printed:
@@ -212,11 +216,13 @@ def metrics_of(outcome: Outcome, scores: dict[str, Any], part_mm: np.ndarray) ->
 
 
 def stood(outcome: Outcome) -> dict[str, Any]:
-    """Which way up the part is printed: its name and ``up``, away from the bed, in the normalised frame; and under
-    ``candidates`` what was looked at to find it."""
-    up = outcome.problem.frame.up
-    name = outcome.stands[0].name if outcome.stands else outcome.config.stand
-    found: dict[str, Any] = {"name": name, "up": list(up)}
+    """Which way up the part is printed: its name and ``up``, away from the bed, in the normalised frame; ``asked``, if
+    that was ``auto``; ``unsteady``, if nothing flat of it lies on the bed; and under ``candidates`` what was looked at
+    to find it."""
+    pose = outcome.problem.pose
+    found: dict[str, Any] = {"name": pose.name, "up": list(pose.up)}
+    found |= {"asked": pose.asked} if pose.asked == "auto" else {}
+    found |= {"unsteady": True} if pose.unsteady else {}
     return found | ({"candidates": [asdict(each) for each in outcome.stands]} if outcome.stands else {})
 
 

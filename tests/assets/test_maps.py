@@ -162,12 +162,13 @@ class TestOcclusion:
         assert not quad(tmp_path / "a.glb", [picture(51, 200, 90)], material).maps
 
 
-class TestEmission:
-    BASE = {"baseColorTexture": {"index": 0}}
+BASE = {"baseColorTexture": {"index": 0}}
 
+
+class TestEmission:
     def test_adds_to_the_base_colour_and_is_clipped(self, tmp_path):
         material = {
-            "pbrMetallicRoughness": self.BASE,
+            "pbrMetallicRoughness": BASE,
             "emissiveTexture": {"index": 1}, "emissiveFactor": [0.5, 1, 0],
             "extensions": {"KHR_materials_emissive_strength": {"emissiveStrength": 2.0}},
         }  # fmt: skip
@@ -180,12 +181,12 @@ class TestEmission:
 
     def test_one_picture_that_is_both_is_meant_once(self, tmp_path):
         material = {
-            "pbrMetallicRoughness": self.BASE, "emissiveTexture": {"index": 0}, "emissiveFactor": [1, 1, 1],
+            "pbrMetallicRoughness": BASE, "emissiveTexture": {"index": 0}, "emissiveFactor": [1, 1, 1],
         }  # fmt: skip
         assert not quad(tmp_path / "a.glb", [picture(100, 60, 10)], material).maps
 
     def test_no_factor_no_light(self, tmp_path):
-        material = {"pbrMetallicRoughness": self.BASE, "emissiveTexture": {"index": 1}}
+        material = {"pbrMetallicRoughness": BASE, "emissiveTexture": {"index": 1}}
         assert not quad(tmp_path / "a.glb", [picture(100, 60, 10), picture(255, 0, 0)], material).maps
 
     def test_lamps_on_a_body_of_one_colour(self, tmp_path):

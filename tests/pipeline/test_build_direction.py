@@ -13,7 +13,7 @@ from toys import stripes
 import genmf_mi
 from genmf_mi.assets.asset import Asset
 from genmf_mi.core.printer import PRINTERS
-from genmf_mi.pipeline.build_direction import DIRECTIONS, candidates
+from genmf_mi.pipeline.poses import DIRECTIONS, candidates
 from genmf_mi.pipeline.print_check import print_check
 from genmf_mi.report import tables
 

@@ -1,4 +1,4 @@
-"""What normal, occlusion and emissive maps make of the target: against the same bumps as real geometry, and in numbers."""
+"""What normal, occlusion and emissive maps make of the target: against real bumps, and in numbers."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def shown(tmp_path_factory):
 
 class TestNormalMap:
     def test_looks_like_the_same_bumps_in_the_geometry(self, shown, tmp_path):
-        """The oracle: shading of a bumpy ball. Bumps of 2 % of the radius move what is seen by a pixel at most, and hide
+        """The oracle: a ball with real bumps. Those of 2 % of the radius move what is seen by a pixel at most, and hide
         nothing behind each other away from the outline."""
         found = asset.load(mapped(tmp_path / "ball.glb"))
         pretended = shown(lambda points, normals, spacing: found.look(points / SCALE, normals, spacing / SCALE))
@@ -57,7 +57,9 @@ class TestNormalMap:
         error, bumps = ((x.grey - oracle.grey).abs()[inside] for x in (ours, plain))
         assert bumps.mean() > 0.01
         assert error.mean() < 0.0025
-        tilted, flat = ((x.normal - oracle.normal).abs().mean(dim=1, keepdim=True)[inside].mean() for x in (ours, plain))
+        tilted, flat = (
+            (x.normal - oracle.normal).abs().mean(dim=1, keepdim=True)[inside].mean() for x in (ours, plain)
+        )
         assert tilted < 0.005 and flat > 0.03
         assert torch.equal(ours.depth, plain.depth), "the map moves nothing"
 
