@@ -121,6 +121,8 @@ def build_problem(
             f"{asset.name} has no texture and no colours, so there is nothing for the relief to show. "
             "Give pictures of it with --reference image.png@azimuth,elevation."
         )
+    for note in asset.notes:
+        progress.warn(f"of {asset.name}, {note}")
     pictures = tuple(target.read_picture(text) for text in references)
     _require_usable(xml, folder)
     if isinstance(asset, SdfAsset):

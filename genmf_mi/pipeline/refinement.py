@@ -92,8 +92,6 @@ def refine(
     with locked(out), tempfile.TemporaryDirectory(prefix="genmf-") as folder:
         progress.stage("loading")
         asset = sources.load(asset, textured, up)
-        for note in asset.notes:
-            progress.warn(f"of {asset.name}, {note}")
         device = variant.use(config.device)
         lpips_weights.require(*config.networks)
         xml = Path(scene) if scene else scene_file.find(asset.name)

@@ -13,6 +13,7 @@ import numpy as np
 from genmf_mi.assets.albedo import Texture
 from genmf_mi.assets.maps import Layer, Maps, glows_all_over, is_flat
 from genmf_mi.core.errors import AssetError
+from genmf_mi.core.text import printable
 
 Lookup = Callable[[dict[str, Any]], tuple[Texture, int]]
 """From a reference to a texture to what it is, and the UV set that it uses."""
@@ -59,7 +60,7 @@ def maps_of(
                 raise AssetError(f"it needs texture coordinates, TEXCOORD_{uv_set}")
             return Layer(picture, uv.astype(np.float64))
         except _UNUSABLE as error:
-            notes.append(f"the {key} of the material {material.get('name', '')!r} is left out: {error}")
+            notes.append(f"the {key} of the material {printable(str(material.get('name', '')))!r} is left out: {error}")
             return None
 
     normal, occlusion = layer("normalTexture"), layer("occlusionTexture")
