@@ -82,8 +82,8 @@ class RefineConfig:
     """Relief finer than the nozzle is filtered out; walls are kept at twice this thickness."""
     normal_map: bool = True
     """Shade the object as its normal map says, where the file has one: relief that the texture pretends."""
-    occlusion_map: bool = True
-    """Take from the ambient light what its occlusion map says."""
+    occlusion_map: bool = False
+    """Take from the ambient light what its occlusion map says. That is shade of a shape, which a print casts itself."""
     emissive_map: bool = True
     """Add the light that its emissive map gives off. A picture that is nowhere else is the texture in any case."""
     method: Literal["relief", "displacement"] = "relief"

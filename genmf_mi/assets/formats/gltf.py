@@ -93,7 +93,11 @@ class _Reader:
         read, indices = self.data.accessor, primitive.get("indices")
         if "KHR_draco_mesh_compression" in primitive.get("extensions", {}):
             decoded = self.data.draco(primitive)
-            read, indices = (lambda index: decoded[index]), primitive["indices"]
+            indices = primitive["indices"]
+
+            def read(index: int) -> np.ndarray:
+                return decoded[index] if index in decoded else self.data.accessor(index)
+
         vertices = read(attributes["POSITION"]).astype(np.float64)
         for weight, target in zip(weights, primitive.get("targets", [])):
             if weight and "POSITION" in target:

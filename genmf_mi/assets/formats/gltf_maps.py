@@ -21,7 +21,9 @@ Attribute = Callable[[str], np.ndarray | None]
 """From the name of an attribute of a primitive to its ``[V,K]``, None if the primitive lacks it."""
 _BLACK = 0.02
 """Largest channel of a base colour that shows nothing."""
-_UNUSABLE = AssetError, KeyError, IndexError, TypeError, ValueError
+_UNUSABLE = AssetError, AttributeError, KeyError, IndexError, TypeError, ValueError
+_FINEST, _STEEPEST = 4096, 100.0
+"""Texels along a side of what is kept of a normal or occlusion map, and largest scale of a normal map."""
 
 
 def emission_of(material: dict[str, Any]) -> tuple[float, float, float]:
@@ -58,7 +60,9 @@ def maps_of(
             uv = attribute(f"TEXCOORD_{uv_set}")
             if uv is None or not np.isfinite(uv).all():
                 raise AssetError(f"it needs texture coordinates, TEXCOORD_{uv_set}")
-            return Layer(picture, uv.astype(np.float64))
+            data = key != "emissiveTexture"
+            finer = max(picture.pixels.shape[:2]) // _FINEST
+            return Layer(picture.reduced(finer) if data else picture, uv.astype(np.float64))
         except _UNUSABLE as error:
             notes.append(f"the {key} of the material {printable(str(material.get('name', '')))!r} is left out: {error}")
             return None
@@ -74,14 +78,15 @@ def maps_of(
         if emissive is None or emissive.texture.pixels.any():
             given = emission_of(material)
     frame = _frame(attribute) if normal is not None else (None, None)
-    scale = _number(material, "normalTexture", "scale")
-    strength = float(np.clip(_number(material, "occlusionTexture", "strength"), 0, 1))
+    scale = _number(material, "normalTexture", "scale", -_STEEPEST, _STEEPEST)
+    strength = _number(material, "occlusionTexture", "strength", 0.0, 1.0)
     return Maps(normal, scale, *frame, occlusion if strength else None, strength, emissive, given), notes
 
 
-def _number(material: dict[str, Any], key: str, name: str) -> float:
-    number = (material.get(key) or {}).get(name, 1.0)
-    return float(number) if isinstance(number, int | float) and np.isfinite(number) else 1.0
+def _number(material: dict[str, Any], key: str, name: str, low: float, high: float) -> float:
+    given = material.get(key)
+    number = given.get(name, 1.0) if isinstance(given, dict) else 1.0
+    return float(np.clip(number, low, high)) if isinstance(number, int | float) and np.isfinite(number) else 1.0
 
 
 def _frame(attribute: Attribute) -> tuple[np.ndarray | None, np.ndarray | None]:
