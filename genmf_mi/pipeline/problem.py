@@ -115,10 +115,12 @@ def build_problem(
         SceneError: the scene file cannot be used.
     """
     progress, timer = progress or Progress(), timer or Timer()
+    given = asset
     asset = asset.with_maps(normal=config.normal_map, occlusion=config.occlusion_map, emission=config.emissive_map)
     if not asset.textured and not references:
+        switches = " but in maps that are left out (--normal-map, --occlusion-map, --emissive-map)" * given.textured
         raise AssetError(
-            f"{asset.name} has no texture and no colours, so there is nothing for the relief to show. "
+            f"{asset.name} has no texture and no colours{switches}, so there is nothing for the relief to show. "
             "Give pictures of it with --reference image.png@azimuth,elevation."
         )
     for note in asset.notes:
