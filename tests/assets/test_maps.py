@@ -127,7 +127,13 @@ class TestNormalMap:
         np.testing.assert_allclose(left, (-1, 0, 0), atol=0.02)
         np.testing.assert_allclose(right, (0, 0, 1), atol=0.02)
 
-    @pytest.mark.parametrize("texture", [{"index": 0, "texCoord": 3}, {"index": 7}, {"index": 1}, {}])
+    @pytest.mark.parametrize(
+        "texture",
+        [
+            {"index": 0, "texCoord": 3}, {"index": 7}, {"index": 1}, {}, {"index": "0"}, 5,
+            {"index": 0, "extensions": {"KHR_texture_transform": {"scale": [1e30, 1]}}},
+        ],
+    )  # fmt: skip
     def test_one_that_cannot_be_used_is_left_out_and_said(self, tmp_path, texture):
         gltf = Gltf()
         broken = {"bufferView": gltf.view(b"no picture"), "mimeType": "image/png"}

@@ -26,6 +26,8 @@ _SUPPORTED = {
     "KHR_mesh_quantization",
     "KHR_texture_transform",
 }
+_FARTHEST = 1e6
+"""Numbers of a texture transform."""
 _HARMLESS = ("KHR_materials_", "KHR_lights_", "KHR_xmp", "KHR_animation", "EXT_lights_")
 
 
@@ -115,6 +117,10 @@ class _Reader:
                 "Unwrap it and export it again."
             )
 
+        place = None if uv is None else read(uv).astype(np.float64)
+        if place is not None and place.shape[1] != 2:
+            raise AssetError(f"{self.path} is damaged: its texture coordinates are no pairs. Export it again.")
+
         def attribute(name: str) -> np.ndarray | None:
             return read(attributes[name]) if name in attributes else None
 
@@ -124,7 +130,7 @@ class _Reader:
             vertices,
             faces,
             material,
-            None if uv is None else read(uv).astype(np.float64),
+            place,
             None if colours is None else read(colours)[:, :3].astype(np.float32),
             maps,
             tuple(notes),
@@ -178,7 +184,10 @@ class _Reader:
         """A texture that a material refers to, and the UV set that it uses."""
         transform = image.get("extensions", {}).get("KHR_texture_transform", {})
         uv_set = transform.get("texCoord", image.get("texCoord", 0))
-        return self._texture(image, transform, transparent=transparent), uv_set
+        texture = self._texture(image, transform, transparent=transparent)
+        if not np.abs(texture.transform).max() < _FARTHEST:  # or NaN
+            raise AssetError(f"{self.path} moves a texture by what is no sensible number. Export it again.")
+        return texture, uv_set
 
     def _same(self, one: dict, other: dict) -> bool:
         """Whether two references are to the same texture, or to entries that say the same."""

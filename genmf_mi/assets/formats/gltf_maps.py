@@ -58,7 +58,7 @@ def maps_of(
         try:
             picture, uv_set = texture(material[key])
             uv = attribute(f"TEXCOORD_{uv_set}")
-            if uv is None or not np.isfinite(uv).all():
+            if uv is None or uv.shape[1:] != (2,) or not np.isfinite(uv).all():
                 raise AssetError(f"it needs texture coordinates, TEXCOORD_{uv_set}")
             data = key != "emissiveTexture"
             finer = max(picture.pixels.shape[:2]) // _FINEST
