@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
+from genmf_mi.assets import maps
 from genmf_mi.assets.albedo import Albedo, Material, Texture
+from genmf_mi.assets.maps import Look, PlacedMaps
 from genmf_mi.assets.overlays import Overlay, outermost, split
-from genmf_mi.assets.part import Part, join
+from genmf_mi.assets.part import Part, join, placed_maps
 from genmf_mi.assets.reading import reading
 from genmf_mi.core.errors import AssetError, ConfigError, GenmfError
+from genmf_mi.core.text import printable
 from genmf_mi.mesh.nearest import Nearest, barycentric
 
 FORMATS = (".glb", ".gltf", ".obj", ".ply", ".3mf", ".stl")
@@ -41,6 +44,8 @@ class Asset:
     faces: ``int64 [F,3]``.
     albedo: the colour of every face, linear RGB.
     source: the file that it was read from, or None.
+    maps: normal, occlusion and emissive maps, of some faces each.
+    notes: what was left out or mended on reading, a sentence each.
     """
 
     name: str
@@ -48,6 +53,8 @@ class Asset:
     faces: np.ndarray
     albedo: Albedo
     source: Path | None = None
+    maps: tuple[PlacedMaps, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @classmethod
     def from_arrays(
@@ -94,15 +101,17 @@ class Asset:
         used = vertices[faces]
         if not np.isfinite(used).all():
             raise AssetError(f"{where} has vertices that are not numbers (NaN or infinite). Repair or export it again.")
-        _require_sane(where, used.reshape(-1, 3), albedo)
+        placed = placed_maps(parts)
+        _require_sane(where, used.reshape(-1, 3), albedo, placed)
         if np.ptp(used.reshape(-1, 3), axis=0).max() == 0:
             raise AssetError(f"{where} has no size: all its vertices are in one place. Export it again.")
-        return cls(name, vertices, faces, albedo, source)
+        notes = tuple(dict.fromkeys(note for part in parts for note in part.notes))
+        return cls(printable(name), vertices, faces, albedo, source, placed, notes)
 
     @property
     def textured(self) -> bool:
         """Whether the colour varies, so that there is detail for the relief to show."""
-        return self.albedo.varies
+        return self.albedo.varies or bool(self.maps)
 
     @property
     def matter(self) -> np.ndarray:
@@ -121,6 +130,25 @@ class Asset:
         longest side that does not, so that the inside of a thin wall does not take the colour of its outside; and
         decals and what is printed on a transparent shell cover what is below them.
         """
+        return self.albedo_at(*self._seen(points, normals))
+
+    def look(self, points: np.ndarray, normals: np.ndarray, spacing: float = 0.0) -> Look | None:
+        """What the maps make of ``points [N,3]`` in file units with ``normals [N,3]`` of unit length, in the place of
+        :meth:`closest_albedo`; None if there are none. spacing: see :func:`genmf_mi.assets.maps.look`."""
+        if not self.maps:
+            return None
+        return maps.look(self.maps, self.vertices, self.faces, *self._seen(points, normals), normals, spacing)
+
+    def with_maps(self, *, normal: bool, occlusion: bool, emission: bool) -> Asset:
+        """The same with the maps that are wanted only."""
+        kept = [
+            replace(each, maps=each.maps.only(normal=normal, occlusion=occlusion, emission=emission))
+            for each in self.maps
+        ]
+        return replace(self, maps=tuple(each for each in kept if each.maps.present)) if self.maps else self
+
+    def _seen(self, points: np.ndarray, normals: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """The faces ``[N]`` that are seen at ``points``, and where on them, barycentric ``[N,3]``."""
         points = np.ascontiguousarray(points, dtype=np.float64)
         body, nearest, overlays = self._layers
         index, closest, _ = nearest.find(points)
@@ -132,7 +160,7 @@ class Asset:
             index, closest = outermost(
                 overlays, points, np.asarray(normals), below, self.vertices, self.faces, self.albedo
             )
-        return self.albedo_at(index, barycentric(self.vertices[self.faces[index]], closest))
+        return index, barycentric(self.vertices[self.faces[index]], closest)
 
     @cached_property
     def _layers(self) -> tuple[np.ndarray, Nearest, list[Overlay]]:
@@ -142,7 +170,7 @@ class Asset:
         return body, Nearest(self.vertices, self.faces[body]), over
 
 
-def _require_sane(where: object, points: np.ndarray, albedo: Albedo) -> None:
+def _require_sane(where: object, points: np.ndarray, albedo: Albedo, placed: tuple[PlacedMaps, ...]) -> None:
     """Raise :class:`AssetError` for what would be refused after the optimisation, or break native code.
 
     points: ``[N,3]``, corners of all faces.
@@ -161,6 +189,8 @@ def _require_sane(where: object, points: np.ndarray, albedo: Albedo) -> None:
             raise AssetError(f"{where} has {what} that are not numbers (NaN or infinite). Repair or export it again.")
     if not np.isfinite([material.factor for material in albedo.materials]).all():
         raise AssetError(f"{where} has a base colour that is no number (NaN or infinite). Repair or export it again.")
+    if not np.isfinite([each.maps.emission for each in placed]).all():
+        raise AssetError(f"{where} has an emissive colour that is no number (NaN or infinite). Export it again.")
 
 
 def load(path: str | Path, up: str | None = None, *, files_anywhere: bool = False) -> Asset:

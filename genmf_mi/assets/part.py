@@ -5,13 +5,14 @@ from __future__ import annotations
 import io
 import struct
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from typing import IO, TYPE_CHECKING
 
 import numpy as np
 
 from genmf_mi.assets.albedo import Albedo, Material
+from genmf_mi.assets.maps import NO_MAPS, Maps, PlacedMaps
 from genmf_mi.assets.reading import current
 from genmf_mi.core.errors import AssetError
 
@@ -29,6 +30,7 @@ class Part:
 
     vertices: ``float64 [V,3]``; faces: ``int64 [F,3]``.
     uv: ``[V,2]`` with v downwards, or None; colours: linear RGB ``[V,3]``, or None.
+    maps: normal, occlusion and emissive maps. notes: what the reader left out or mended, a sentence each.
     """
 
     vertices: np.ndarray
@@ -36,6 +38,8 @@ class Part:
     material: Material
     uv: np.ndarray | None = None
     colours: np.ndarray | None = None
+    maps: Maps = NO_MAPS
+    notes: tuple[str, ...] = ()
 
     def transformed(self, matrix: np.ndarray) -> Part:
         """The part under an affine ``matrix [4,4]``; a mirroring one reverses the faces, so that they stay outwards."""
@@ -43,7 +47,7 @@ class Part:
             vertices = self.vertices @ matrix[:3, :3].T + matrix[:3, 3]
             mirrors = np.linalg.slogdet(matrix[:3, :3])[0] < 0
         faces = self.faces[:, ::-1] if mirrors else self.faces
-        return Part(vertices, faces, self.material, self.uv, self.colours)
+        return replace(self, vertices=vertices, faces=faces, maps=self.maps.turned(matrix[:3, :3]))
 
 
 def join(parts: list[Part]) -> tuple[np.ndarray, np.ndarray, Albedo]:
@@ -70,6 +74,16 @@ def join(parts: list[Part]) -> tuple[np.ndarray, np.ndarray, Albedo]:
             uv=stack([part.uv for part in parts], origin),
             colours=stack([part.colours for part in parts], white),
         ),
+    )
+
+
+def placed_maps(parts: list[Part]) -> tuple[PlacedMaps, ...]:
+    """The maps of all parts together, as :func:`join` puts them."""
+    vertices, faces = (np.cumsum([0] + [len(getattr(part, name)) for part in parts]) for name in ("vertices", "faces"))
+    return tuple(
+        PlacedMaps(part.maps, int(faces[i]), int(faces[i + 1]), int(vertices[i]))
+        for i, part in enumerate(parts)
+        if part.maps.present
     )
 
 

@@ -139,6 +139,7 @@ def print_result(metrics: dict, out: Path) -> None:
     """The contents of ``metrics.json`` as a person reads them, and the files to open first."""
     from genmf_mi.cli.tables import print_scores, print_table
     from genmf_mi.report import tables
+    from genmf_mi.report.remarks import remarks
 
     print_scores(metrics)
     if stands := tables.stands(metrics):
@@ -156,6 +157,8 @@ def print_result(metrics: dict, out: Path) -> None:
         f"{'component' if solid['bodies'] == 1 else 'components'}, "
         f"{solid['self_intersections']} self-intersections; {metrics['seconds']['total']:.0f} s"
     )
+    for remark in remarks(metrics):
+        print(f"note: {remark}")
     if metrics["interrupted"]:
         print(f"interrupted after {metrics['iterations']} iterations: the part so far. Continue with --resume.")
     print(f"print {out / 'refined.3mf'}, look at {out / 'report.html'}")

@@ -143,6 +143,7 @@ def atomic(path: str | Path) -> Iterator[Path]:
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write ``text`` as UTF-8, whole or not at all. Raises :class:`OutputError`."""
+    """Write ``text`` as UTF-8, whole or not at all; what is no Unicode, in the names of files, becomes a question mark.
+    Raises :class:`OutputError`."""
     with atomic(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8", errors="replace")

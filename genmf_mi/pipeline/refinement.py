@@ -200,7 +200,7 @@ def _require(
 
 def _require_detail(problem: RefinementProblem) -> None:
     """Raise :class:`AssetError` for a texture of one brightness, of which no relief would come."""
-    if not problem.training.reference.pictures and np.ptp(problem.surface.brightness) < ONE_BRIGHTNESS:
+    if not problem.training.reference.pictures and np.ptp(problem.surface.signals, axis=0).max() < ONE_BRIGHTNESS:
         raise AssetError(
             f"the texture of {problem.asset.name} has one brightness all over, so there is nothing for the relief to "
             "show. Give pictures of it with --reference image.png@azimuth,elevation."

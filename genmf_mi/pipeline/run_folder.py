@@ -285,7 +285,7 @@ def _add(content: Any, thing: Any) -> None:
         content.update(thing.read_bytes() if thing.is_file() else b"")
     elif is_dataclass(thing):
         for field in fields(thing):
-            if field.name not in ("name", "source", "report"):
+            if field.name not in ("name", "source", "report", "notes"):
                 _add(content, getattr(thing, field.name))
     elif isinstance(thing, (tuple, list)):
         for one in cast("Sequence[Any]", thing):

@@ -84,7 +84,7 @@ def _close(problem: RefinementProblem, rng: np.random.Generator, shift: np.ndarr
     """Something small, chosen in proportion to its contrast, ``shift`` degrees of azimuth and elevation off head on."""
     surface, scene = problem.surface, problem.training.part
     # Triangles are small where the texture is fine, so that vertices are many there
-    contrast = np.abs(surface.brightness - problem.broad) + FAINTEST
+    contrast = problem.detail + FAINTEST
     chosen = int(rng.choice(len(contrast), p=contrast / contrast.sum()))
     front = View.facing(surface.normals[chosen])
     elevation = float(np.clip(front.elevation + shift[1], -STEEPEST, STEEPEST))

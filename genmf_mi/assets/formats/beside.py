@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import os
 import stat
+import unicodedata
+from contextlib import suppress
 from pathlib import Path, PureWindowsPath
 
 from genmf_mi.assets.reading import current
@@ -32,8 +34,9 @@ def find(asset: Path, name: str, folder: Path | None = None) -> Path | None:
         return None
     windows = PureWindowsPath(name)  # knows either slash
     relative = Path(*(part for part in windows.parts if part != windows.anchor))
+    wanted = ([] if windows.is_absolute() or windows.root else [relative]) + [Path(relative.name)]
     for place in (folder or asset.parent, asset.parent):
-        for candidate in ([] if windows.is_absolute() or windows.root else [relative]) + [Path(relative.name)]:
+        for candidate in (Path(spelled) for each in wanted for spelled in _spellings(str(each))):
             found = _in_any_case(place, candidate)
             if found is not None:
                 return _safe(asset, home, name, found)
@@ -52,6 +55,14 @@ def read(asset: Path, name: str, folder: Path | None = None) -> bytes | None:
         return path.read_bytes()
     except OSError as error:
         raise AssetError(f"{asset} uses {name}, which cannot be read: {error.strerror}.") from error
+
+
+def _spellings(name: str) -> list[str]:
+    """The same name as systems write accents: composed, decomposed (macOS), and in Latin-1 (old archives)."""
+    spelled = [name, *(unicodedata.normalize(form, name) for form in ("NFC", "NFD"))]
+    with suppress(UnicodeEncodeError):
+        spelled.append(os.fsdecode(spelled[1].encode("latin-1")))
+    return list(dict.fromkeys(spelled))
 
 
 def _in_any_case(folder: Path, relative: Path) -> Path | None:

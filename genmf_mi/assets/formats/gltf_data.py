@@ -107,7 +107,7 @@ class GltfData:
         """The bytes behind a data URI or the name of a file beside the asset (2.8)."""
         if uri.startswith("data:"):
             return base64.b64decode(uri.partition(",")[2])
-        data = beside.read(self.path, unquote(uri))
+        data = beside.read(self.path, unquote(uri, errors="surrogateescape"))
         if data is None:
             raise AssetError(
                 f"{self.path} refers to {uri}, which is not beside it. "
@@ -139,7 +139,8 @@ def _container(path: Path) -> tuple[dict, bytes]:
     else:
         text, version = data, 2
     try:
-        tree = json.loads(text)
+        # Names that are no UTF-8 must not cost the file
+        tree = json.loads(text.decode(json.detect_encoding(text), "surrogateescape"))
         version = min(version, int(tree["asset"]["version"].split(".")[0]))
     except (ValueError, KeyError, TypeError, AttributeError):
         raise AssetError(f"{path} is not glTF. Check that the download is complete.") from None

@@ -19,6 +19,7 @@ from genmf_mi.assets.sdf_asset import SdfAsset
 from genmf_mi.core import colour
 from genmf_mi.core.errors import AssetError
 from genmf_mi.core.files import atomic
+from genmf_mi.core.text import printable
 from genmf_mi.mesh.nearest import distance_to_surface
 
 if TYPE_CHECKING:
@@ -61,11 +62,13 @@ def _built(path: Path, arrays: dict[str, np.ndarray], textured: str | Path | Ass
     if "coords" in arrays and "feats" in arrays:
         rotation = trellis.TO_Y_UP
         resolution = int(_scalar(path, arrays, "resolution", trellis.RESOLUTION))
-        shape = trellis.build(path.stem, arrays["coords"], arrays["feats"], resolution=resolution, source=path)
+        shape = trellis.build(
+            printable(path.stem), arrays["coords"], arrays["feats"], resolution=resolution, source=path
+        )
     elif "sdf" in arrays:
         rotation = instantmesh.TO_Y_UP
         shape = instantmesh.build(
-            path.stem,
+            printable(path.stem),
             arrays["sdf"],
             arrays.get("deformation"),
             arrays.get("weights"),
@@ -79,7 +82,7 @@ def _built(path: Path, arrays: dict[str, np.ndarray], textured: str | Path | Ass
             raise AssetError(f"{path}: centre must be three numbers.")
         x, y, z = map(float, centre)
         shape = SdfAsset(
-            path.stem,
+            printable(path.stem),
             arrays["phi"].astype(np.float32),
             _float32(arrays.get("deformation")),
             _float32(arrays.get("weights")),
