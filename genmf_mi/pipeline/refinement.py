@@ -79,8 +79,8 @@ def refine(
         out: folder for all files; None writes nothing. scene: the sample's own or ``default.xml`` if None.
         references: images to match instead of the texture, each ``image.png@azimuth,elevation``.
         verify: simulate the stress of the part ``before``, as it would be without the stress stage
-            (``unconstrained``), and ``after``, or of some of these by name; takes minutes.
-        print_check: slice the shapes, look at and score every bead; a string names the slicer. Takes minutes.
+            (``unconstrained``), and ``after``, or of some of these by name.
+        print_check: slice the shapes, look at and score every bead; a string names the slicer. Both take minutes.
         force, resume: replace a run in ``out``, or continue an interrupted one. save_exr: write the image buffers too.
         extra_terms: of the loss, see :data:`genmf_mi.pipeline.optimisation.ExtraTerms`. progress: of the run.
 
@@ -97,8 +97,7 @@ def refine(
         device = variant.use(config.device)
         lpips_weights.require(*config.networks)
         xml = Path(scene) if scene else scene_file.find(asset.name)
-        claim = opened(out, asset, config, xml, references, force=force, resume=resume)
-        run = stack.enter_context(claim)
+        run = stack.enter_context(opened(out, asset, config, xml, references, force=force, resume=resume))
         timer.lap("load")
 
         problem = build_problem(asset, config, xml, Path(folder), references=references, progress=progress, timer=timer)
@@ -115,7 +114,6 @@ def refine(
         optimisation = Optimisation(problem, config, parameterization, alignment, stress, extra_terms)
         interrupted, state = refined(optimisation, displacement, evaluator, run, progress, resume=resume)
         timer.lap("optimise")
-
         names = () if interrupted or not verify else SHAPES if verify is True else tuple(verify)
         simulated, unconstrained = verified(optimisation, state, names, progress, timer)
 
