@@ -90,15 +90,13 @@ def refine(
     memory.tune_malloc()
     config, progress, timer = config or RefineConfig(), progress or Progress(), Timer()
     _require(config, out, (asset, textured, scene, *references), resume=resume, print_check=bool(print_check))
-
     with locked(out), tempfile.TemporaryDirectory(prefix="genmf-") as folder, ExitStack() as stack:
         progress.stage("loading")
         asset = sources.load(asset, textured, up, files_anywhere=files_anywhere)
         device = variant.use(config.device)
         lpips_weights.require(*config.networks)
         xml = Path(scene) if scene else scene_file.find(asset.name)
-        claim = opened(out, asset, config, xml, references, force=force, resume=resume)
-        run = stack.enter_context(claim)
+        run = stack.enter_context(opened(out, asset, config, xml, references, force=force, resume=resume))
         timer.lap("load")
 
         problem = build_problem(asset, config, xml, Path(folder), references=references, progress=progress, timer=timer)
