@@ -90,7 +90,6 @@ def refine(
     memory.tune_malloc()
     config, progress, timer = config or RefineConfig(), progress or Progress(), Timer()
     _require(config, out, (asset, textured, scene, *references), resume=resume, print_check=bool(print_check))
-
     with locked(out), tempfile.TemporaryDirectory(prefix="genmf-") as folder, ExitStack() as stack:
         progress.stage("loading")
         asset = sources.load(asset, textured, up, files_anywhere=files_anywhere)
