@@ -26,7 +26,7 @@ COMMANDS = {
     "refine": ("ASSET", "refine a file or a bundled sample; writes to runs/NAME"),
     "evaluate": ("A B", "score a one-colour shape B against the textured asset A"),
     "print-check": ("PART", "slice a part and look at it as it comes off the printer"),
-    "batch": ("FILES ...", "refine many assets, one after the other"),
+    "batch": ("FILES ...", "refine many assets: on this machine, a shard of them, or on a cluster"),
     "sweep": ("ASSET", "what a lower thermal stress costs in appearance"),
     "convert": ("ASSET", "from a mesh to an SDF file, or from an SDF file to a coloured mesh"),
     "scene": ("ASSET", "print a scene file to edit and use with --scene"),
