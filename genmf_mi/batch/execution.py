@@ -22,8 +22,8 @@ from genmf_mi.pipeline.refinement import refine
 from genmf_mi.pipeline.run_folder import BEFORE_AFTER, CHECKPOINT, CONFIG, FILES, HISTORY, METRICS, RunFolder
 
 THUMBNAIL = "thumbnail.jpg"
-THUMBNAIL_WIDTH = 480
-"""Pixels."""
+THUMBNAIL_SIZE = 640, 282
+"""Pixels; the title and the first view of the picture."""
 UPLOAD_EVERY = 30.0
 """Seconds between two uploads of a checkpoint."""
 STATE = (CONFIG, HISTORY, CHECKPOINT)
@@ -216,8 +216,10 @@ def _write_thumbnail(path: Path) -> None:
     if not (path / BEFORE_AFTER).exists():
         return
     with Image.open(path / BEFORE_AFTER) as image:
-        small = image.convert("RGB")
-    small.thumbnail((THUMBNAIL_WIDTH, THUMBNAIL_WIDTH))
+        width, height = THUMBNAIL_SIZE
+        top = min(image.height, round(image.width * height / width))
+        small = image.convert("RGB").crop((0, 0, image.width, top))
+    small.thumbnail(THUMBNAIL_SIZE)
     with atomic(path / THUMBNAIL) as temporary:
         small.save(temporary, quality=80)
 

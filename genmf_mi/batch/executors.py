@@ -21,7 +21,7 @@ from genmf_mi.core.errors import ConfigError
 
 TICK = 1.0
 """Seconds after which an executor yields although nothing has ended."""
-DRAFT_GB, DEFAULT_GB, PAPER_GB = 1.2, 1.8, 3.0
+DRAFT_GB, DEFAULT_GB, PAPER_GB = 1.4, 1.8, 3.0
 """Memory of a worker by how much it does, with some to spare; see docs/batch.md."""
 
 

@@ -8,6 +8,7 @@ crashes and retries are the same everywhere. Ray itself starts a task again whos
 from __future__ import annotations
 
 import os
+import socket
 import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -30,6 +31,8 @@ IN_FLIGHT, IN_FLIGHT_IN_MEMORY = 1000, 32
 their task."""
 IDLE = 10.0
 """Seconds after which the worker process beneath an idle Ray worker is ended: its memory is no longer accounted for."""
+ANSWER = 20.0
+"""Seconds in which a cluster must accept a connection."""
 SUPERVISOR_GB = 0.3
 """Memory of a Ray worker without the process beneath it."""
 
@@ -133,13 +136,23 @@ def _connected(address: str) -> Any:
     if ray.is_initialized():
         return ray
     try:
+        _require_answer(address)
         ray.init(address=address, log_to_driver=False, configure_logging=False, ignore_reinit_error=True)
     except Exception as error:  # ConnectionError, RuntimeError, ValueError, of grpc ...
         text = " ".join(str(error).split())[:200]
         raise SetupError(
-            f"no Ray cluster answers at {address}: {text} Start one with `ray start --head`, or see docs/batch.md."
+            f"no Ray cluster answers at {address}: {text}. Start one with `ray start --head`, or see docs/batch.md."
         ) from error
     return ray
+
+
+def _require_answer(address: str) -> None:
+    """Raise :class:`OSError` or :class:`ValueError` if nobody listens there; Ray itself would try for minutes."""
+    if address == "auto":
+        address = os.environ.get("RAY_ADDRESS", "")
+    host, colon, port = address.removeprefix("ray://").rpartition(":")
+    if colon:
+        socket.create_connection((host, int(port)), timeout=ANSWER).close()
 
 
 def absolute(task: Task) -> Task:

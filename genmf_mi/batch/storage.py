@@ -176,15 +176,14 @@ def find(folder: str, pattern: str, *, deep: bool = False) -> list[str]:
         root = path_of(folder)
         return sorted(str(path) for path in (root.rglob(pattern) if deep else root.glob(pattern)) if path.is_file())
     system, root = file_system(folder)
-    scheme = folder.partition("://")[0]
     try:
         files = system.find(root, maxdepth=None if deep else 1)
     except FileNotFoundError:
         return []
     except Exception as error:
         raise _unreachable(folder, error) from error
-    fit = [file for file in files if fnmatch.fnmatch(file.rpartition("/")[2], pattern)]
-    return sorted(f"{scheme}://{file}" for file in fit)
+    inside = [file.removeprefix(root).lstrip("/") for file in files]
+    return sorted(join(folder, file) for file in inside if fnmatch.fnmatch(file.rpartition("/")[2], pattern))
 
 
 def matching(pattern: str) -> list[str]:
@@ -196,7 +195,7 @@ def matching(pattern: str) -> list[str]:
         return sorted(path for path in glob.glob(text, recursive=True) if Path(path).is_file())
     system, path = file_system(pattern)
     try:
-        return sorted(f"{pattern.partition('://')[0]}://{file}" for file in system.glob(path))
+        return sorted(f"{pattern.partition('://')[0]}://{file.lstrip('/')}" for file in system.glob(path))
     except Exception as error:
         raise _unreachable(pattern, error) from error
 

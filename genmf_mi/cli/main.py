@@ -27,6 +27,7 @@ COMMANDS = {
     "evaluate": ("A B", "score a one-colour shape B against the textured asset A"),
     "print-check": ("PART", "slice a part and look at it as it comes off the printer"),
     "batch": ("FILES ...", "refine many assets: on this machine, a shard of them, or on a cluster"),
+    "merge": ("OUT", "a table and a gallery of a batch, from all its shards"),
     "sweep": ("ASSET", "what a lower thermal stress costs in appearance"),
     "convert": ("ASSET", "from a mesh to an SDF file, or from an SDF file to a coloured mesh"),
     "scene": ("ASSET", "print a scene file to edit and use with --scene"),

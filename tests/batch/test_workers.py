@@ -120,9 +120,9 @@ def test_shares_of_the_machine(monkeypatch):
     monkeypatch.setattr(memory, "available_gb", lambda: 4.0)
     monkeypatch.setattr("genmf_mi.batch.executors.gpus", lambda: 0)
     assert default_workers(genmf_mi.RefineConfig(), 1) == 2
-    assert default_workers(CONFIG, 1) == 3 and default_workers(CONFIG, 4) == 2
+    assert default_workers(CONFIG, 1) == 2 and default_workers(CONFIG, 4) == 2
     monkeypatch.setattr("genmf_mi.batch.executors.gpus", lambda: 4)
-    assert default_workers(genmf_mi.RefineConfig(), 1) == 4 and default_workers(CONFIG, 1) == 3
+    assert default_workers(genmf_mi.RefineConfig(), 1) == 4 and default_workers(CONFIG, 1) == 2
     with pytest.raises(ConfigError, match="cannot be negative"):
         LocalExecutor(-1)
     with pytest.raises(ConfigError, match="seconds cannot be"):
