@@ -57,8 +57,8 @@ def run_batch(
         shard: ``3/64`` for the third of 64 parts, ``auto`` in a job array of Slurm or AWS Batch.
         limits: of time, memory and crashes. force: replace runs in ``out``. retry_failed: try quarantined items, and
             those that failed by themselves, again.
-        options: ``textured``, ``up``, ``scene``, ``references``, ``verify``, ``print_check``, ``slicer``, ``save_exr``
-            as for :func:`genmf_mi.refine`.
+        options: ``textured``, ``up``, ``files_anywhere``, ``scene``, ``references``, ``verify``, ``print_check``,
+            ``slicer``, ``save_exr`` as for :func:`genmf_mi.refine`.
 
     Raises:
         ConfigError: two items of one name, a setting that does not exist, no such shard. OutputError: another batch

@@ -19,7 +19,16 @@ from genmf_mi.batch.task import Task
 from genmf_mi.core.errors import ConfigError, GenmfError, OutputError
 from genmf_mi.core.progress import Progress
 from genmf_mi.pipeline.refinement import refine
-from genmf_mi.pipeline.run_folder import BEFORE_AFTER, CHECKPOINT, CONFIG, FILES, HISTORY, METRICS, RunFolder
+from genmf_mi.pipeline.run_folder import (
+    BEFORE_AFTER,
+    CHECKPOINT,
+    CONFIG,
+    FILES,
+    HISTORY,
+    METRICS,
+    REPLACEMENT,
+    RunFolder,
+)
 
 THUMBNAIL = "thumbnail.jpg"
 THUMBNAIL_SIZE = 640, 282
@@ -81,7 +90,8 @@ def execute(task: Task) -> dict[str, Any]:
 
 def _executed(task: Task, warnings: list[str]) -> tuple[str, dict[str, Any]]:
     """State and metrics. Raises as :func:`genmf_mi.refine`."""
-    with storage.workspace(task.folder, (*STATE, METRICS)) as path, TemporaryDirectory(prefix="genmf-") as fetched:
+    known = () if task.force else (*STATE, METRICS)
+    with storage.workspace(task.folder, known) as path, TemporaryDirectory(prefix="genmf-") as fetched:
         progress = ItemProgress(path, task.folder)
         try:
             folder = RunFolder(path)
@@ -89,9 +99,8 @@ def _executed(task: Task, warnings: list[str]) -> tuple[str, dict[str, Any]]:
             if metrics is not None:
                 return "skipped", metrics
             resume, local = _resumable(folder, task, progress), _fetched(task, Path(fetched))
-            if not resume:
-                ItemRecord.load(task.folder).claim(task)
             metrics = _refined(local, path, progress, resume=resume)
+            ItemRecord.load(task.folder).claim(task)  # not before: until now a run that is replaced is still there
             _write_thumbnail(path)
             if storage.is_url(task.folder):
                 _upload(path, task.folder)
@@ -141,15 +150,18 @@ def _redo(folder: RunFolder, record: ItemRecord, error: OutputError, progress: P
     progress.warn(f"{str(error).partition('. ')[0]}: the item is done again")
     for name in FILES:  # without settings beside them they would count as somebody else's
         (folder.path / name).unlink(missing_ok=True)
+    RunFolder(folder.path / REPLACEMENT).discard()
 
 
 def _resumable(folder: RunFolder, task: Task, progress: Progress) -> bool:
     """Whether there is a run to go on with; a damaged one is said and done again."""
     if task.force or not folder.interrupted:
         return False
+    grown = RunFolder(folder.path / REPLACEMENT)
+    interrupted = grown if grown.interrupted else folder
     try:
-        folder.settings()
-        folder.load()
+        interrupted.settings()
+        interrupted.load()
     except OutputError as error:
         _redo(folder, ItemRecord.load(task.folder), error, progress)
         return False
@@ -182,8 +194,8 @@ def _fetched(task: Task, folder: Path) -> Task:
         references.append(f"{_fetch(picture, folder / f'reference{i}')}@{turn}")
     asset = task.asset
     if isinstance(asset, str) and storage.is_url(asset):
-        asset = load_asset(_fetch(asset, folder / "asset"), textured, work.up)
-        work, textured = replace(work, up=None), None
+        asset = load_asset(_fetch(asset, folder / "asset"), textured, work.up, files_anywhere=work.files_anywhere)
+        work, textured = replace(work, up=None, files_anywhere=False), None
     return replace(task, asset=asset, work=replace(work, textured=textured, scene=scene, references=tuple(references)))
 
 

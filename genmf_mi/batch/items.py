@@ -6,13 +6,15 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
-from genmf_mi.assets.asset import Asset
-from genmf_mi.assets.sdf_asset import SdfAsset
 from genmf_mi.batch import storage
 from genmf_mi.batch.keys import is_sample
 from genmf_mi.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from genmf_mi.assets.asset import Asset
+    from genmf_mi.assets.sdf_asset import SdfAsset
 
 
 @dataclass(frozen=True)
@@ -35,15 +37,13 @@ class BatchItem:
         """The name of the run folder."""
         if self.name:
             return self.name
-        if isinstance(self.asset, Asset | SdfAsset):
-            return self.asset.name
-        return stem(str(self.asset))
+        return stem(str(self.asset)) if isinstance(self.asset, str | Path) else self.asset.name
 
     def __str__(self) -> str:
         return self.where or str(self.asset if isinstance(self.asset, str | Path) else self.asset.name)
 
 
-AnyItem = str | Path | Asset | SdfAsset | BatchItem
+AnyItem: TypeAlias = "str | Path | Asset | SdfAsset | BatchItem"
 
 
 def stem(place: str) -> str:

@@ -6,19 +6,20 @@ import hashlib
 import json
 import re
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
 
 from genmf_mi.assets import samples
-from genmf_mi.assets.asset import Asset
 from genmf_mi.assets.formats import beside
-from genmf_mi.assets.sdf_asset import SdfAsset
-from genmf_mi.assets.sources import SDF_SUFFIX
+from genmf_mi.assets.reading import reading
 from genmf_mi.batch import storage
 from genmf_mi.batch.work import Work
 from genmf_mi.core.errors import AssetError, GenmfError
 
-SAMPLES = {*samples.NAMES, *(name + SDF_SUFFIX for name in samples.NAMES)}
+if TYPE_CHECKING:
+    from genmf_mi.assets.asset import Asset
+    from genmf_mi.assets.sdf_asset import SdfAsset
+
 _NAMED = {
     ".gltf": re.compile(rb'"uri"\s*:\s*"((?!data:)[^"]+)"'),
     ".obj": re.compile(rb"^\s*mtllib\s+(.+?)\s*$", re.M | re.I),
@@ -32,7 +33,7 @@ HEADER = 1 << 16
 
 def is_sample(asset: str) -> bool:
     """Whether a text names a bundled sample, and no file."""
-    return asset in SAMPLES and not Path(asset).exists()
+    return asset.removesuffix(samples.SDF_SUFFIX) in samples.NAMES and not Path(asset).exists()
 
 
 def named_files(path: Path) -> list[str]:
@@ -47,17 +48,18 @@ def named_files(path: Path) -> list[str]:
 
 
 def companions(path: Path) -> list[Path]:
-    """The files that belong to an asset besides its own: buffers, materials, textures; those that are missing are
-    missed when it is read."""
+    """The files that belong to an asset besides its own: buffers, materials, textures, wherever they are; those that
+    are missing or not allowed are missed when it is read."""
     found: list[Path] = []
-    for name in named_files(path):
-        try:
-            other = beside.find(path, name)
-        except GenmfError:  # outside of the asset's folder: refused when it is read
-            continue
-        if other is not None:
-            found += [other, *companions(other)]
-    return found
+    with reading(anywhere=True):
+        for name in named_files(path):
+            try:
+                other = beside.find(path, name)
+            except GenmfError:  # no regular file, or too large
+                continue
+            if other is not None:
+                found.append(other)
+    return [file for one in found for file in (one, *companions(one))]
 
 
 def token(asset: str | Asset | SdfAsset, work: Work) -> str:

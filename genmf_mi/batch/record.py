@@ -59,7 +59,7 @@ class ItemRecord:
         return replace(known, tried=task.key, begun=known.begun + 1)._saved()
 
     def claim(self, task: Task) -> ItemRecord:
-        """From now on the folder holds this work."""
+        """The folder holds this work now."""
         return replace(self, key=task.key, work={"asset": task.asset_name, **task.work.described()})._saved()
 
     def died(self, cause: str) -> ItemRecord:

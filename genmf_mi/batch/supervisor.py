@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 from queue import Empty, SimpleQueue
 from typing import IO, Any
 
+from genmf_mi.batch import storage
 from genmf_mi.batch.journal import BatchOutcome
 from genmf_mi.batch.record import LOST, ItemRecord, worker_name
 from genmf_mi.batch.task import Limits, Task
@@ -97,7 +98,7 @@ class Supervisor:
                     if death.cause in ("time", "memory"):
                         ItemRecord.load(task.folder).end()
                         return task.outcome("failed", cause=death.cause, error=str(death), attempts=record.begun)
-                    task = replace(task, force=False)  # go on with what there is, from the last checkpoint
+                    task = replace(task, force=task.force and not _begun(task.folder))
                     continue
                 peak = max(peak, now_gb)
                 record = ItemRecord.load(task.folder).end()
@@ -210,6 +211,13 @@ def _named(code: int | None) -> str:
     with suppress(ValueError):
         return signal.Signals(-code).name
     return f"signal {-code}"
+
+
+def _begun(folder: str) -> bool:
+    """Whether there is a checkpoint to go on from."""
+    from genmf_mi.pipeline.run_folder import CHECKPOINT, REPLACEMENT
+
+    return any(storage.exists(storage.join(folder, *names)) for names in ((CHECKPOINT,), (REPLACEMENT, CHECKPOINT)))
 
 
 def _quarantined(record: ItemRecord, task: Task, limits: Limits) -> BatchOutcome | None:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import isfinite
+from typing import TYPE_CHECKING
 
-from genmf_mi.assets.asset import Asset
-from genmf_mi.assets.sdf_asset import SdfAsset
 from genmf_mi.batch.journal import BatchOutcome
 from genmf_mi.batch.work import Work
 from genmf_mi.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from genmf_mi.assets.asset import Asset
+    from genmf_mi.assets.sdf_asset import SdfAsset
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ class Work:
     config: RefineConfig = field(default_factory=RefineConfig)
     textured: str | None = None
     up: str | None = None
+    files_anywhere: bool = False
     scene: str | None = None
     references: tuple[str, ...] = ()
     verify: bool = False
@@ -31,6 +32,7 @@ class Work:
         return {
             "textured": self.textured,
             "up": self.up,
+            "files_anywhere": self.files_anywhere,
             "scene": self.scene,
             "references": self.references,
             "verify": self.verify,
@@ -49,6 +51,7 @@ _OPTIONS: dict[str, Any] = {
     "preset": Literal["draft", "default", "paper"],
     "textured": str,
     "up": Literal["auto", "x", "-x", "y", "-y", "z", "-z"],
+    "files_anywhere": bool,
     "scene": str,
     "reference": tuple[str, ...],
     "verify": bool,

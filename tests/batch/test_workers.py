@@ -53,6 +53,17 @@ def test_a_crash_costs_its_item_alone_and_goes_on_from_the_checkpoint(assets):
     assert [name for name, _ in starts()[len(tried) :]] == ["crash", "crash"]
 
 
+def test_crash_of_a_run_that_replaces_another(assets):
+    """The old one is not taken for the new one, and is kept until that is complete."""
+    (path,) = assets("once")
+    run([path], local(1))
+    before = Path("runs/once/metrics.json").read_text()
+    Path("runs/once/seen").unlink()
+    outcome = run([path], local(1), force=True)["once"]
+    assert outcome.state == "refined" and [first for _, first in starts()] == [0, 2, 0, 2]
+    assert Path("runs/once/metrics.json").read_text() == before and not Path("runs/once/.replacement").exists()
+
+
 def test_limits_of_time_and_memory(assets):
     outcomes = run(assets("hang"), local(1, seconds=1.0)) | run(assets("fat", "one"), local(1, memory_gb=0.8))
     assert {name: one.cause for name, one in outcomes.items()} == {"hang": "time", "fat": "memory", "one": ""}

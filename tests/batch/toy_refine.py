@@ -31,7 +31,8 @@ def refine(asset, config, *, out, force, resume, progress, **options):
         folder = RunFolder.open(
             out, loaded.name, config, {"asset": run_folder.fingerprint(loaded)}, force=force, resume=resume
         )
-        first = int((out / CHECKPOINT).read_text()) if resume else 0
+        here = folder.path
+        first = int((here / CHECKPOINT).read_text()) if resume else 0
         with (out.parent / "starts.txt").open("a") as file:
             file.write(f"{name} {first} {os.getpid()}\n")
         _obey(name, out)
@@ -40,8 +41,8 @@ def refine(asset, config, *, out, force, resume, progress, **options):
                 os.kill(os.getpid(), signal.SIGKILL)
             if name.startswith("slow"):
                 time.sleep(0.05)
-            write_text(out / HISTORY, "{}\n" * (i + 1))
-            write_text(out / CHECKPOINT, str(i + 1))
+            write_text(here / HISTORY, "{}\n" * (i + 1))
+            write_text(here / CHECKPOINT, str(i + 1))
             progress.advance(i + 1, config.iterations, {})
         if name.startswith("thin"):
             progress.warn("it is thin")
