@@ -52,12 +52,12 @@ def main(inputs: Inputs, *, items: int = 24, kills: int = 5, engines: str = "ray
         if engine == "ray":
             with Cluster(mark) as cluster:
                 command += ["--engine", "ray", "--address", cluster.address, "--memory-gb", "1.5"]
-                results[engine] = drill([command], kills, mark, seed)
+                results[engine] = drill(out, [command], kills, mark, seed)
         elif engine == "local":
-            results[engine] = drill([[*command, "--workers", "2", "--threads", "1"]], kills, mark, seed)
+            results[engine] = drill(out, [[*command, "--workers", "2", "--threads", "1"]], kills, mark, seed)
         else:
             shards = [[*command, "--workers", "1", "--threads", "1", "--shard", f"{i}/4"] for i in range(1, 5)]
-            results[engine] = drill(shards, kills, mark, seed)
+            results[engine] = drill(out, shards, kills, mark, seed)
         results[engine] |= {"wall_seconds": round(time.monotonic() - start), **counted(out, items)}
         print(engine, json.dumps(results[engine]), flush=True)
     record.write_entry(
@@ -79,6 +79,7 @@ def write_assets(folder: Path, count: int) -> Path:
 
 
 def drill(
+    out: Path,
     commands: Sequence[Sequence[str]],
     kills: int,
     mark: str,
@@ -89,7 +90,8 @@ def drill(
     """Run batches, kill ``kills`` of their workers and, halfway, a driver, which is started again.
 
     Args:
-        commands: of the drivers. mark: of their processes. victim: says of a command line whether it is a worker.
+        out: where the batches write; nobody is killed before the first item has begun. commands: of the drivers.
+        mark: of their processes. victim: says of a command line whether it is a worker.
         moments: seconds between two kills, at least and at most.
 
     Returns:
@@ -101,6 +103,8 @@ def drill(
     killed = {"workers_killed": 0, "drivers_killed": 0}
     while killed["workers_killed"] < kills and any(driver.poll() is None for driver in drivers):
         time.sleep(chance.uniform(*moments))
+        if not any(out.glob("*/item.json")):
+            continue
         if killed["workers_killed"] >= kills // 2 and not killed["drivers_killed"]:
             index = next((i for i, driver in enumerate(drivers) if driver.poll() is None), None)
             if index is None:

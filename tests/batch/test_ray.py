@@ -22,14 +22,15 @@ pytestmark = [
 
 DRIVER = """
 import sys
+from dataclasses import replace
 sys.path.insert(0, {folder!r})
 import genmf_mi
 from genmf_mi.batch.ray_executor import RayExecutor
 from toy_batches import CONFIG, TOY_WORKER
 limits = genmf_mi.Limits(memory_gb=0.5, crashes=10)
-executor = RayExecutor({address!r}, 1, limits, CONFIG, command=TOY_WORKER)
-failed = [one for one in genmf_mi.run_batch({items!r}, CONFIG, executor=executor) if not one.good]
-sys.exit(len(failed))
+config = replace(CONFIG, iterations=40)
+executor = RayExecutor({address!r}, 1, limits, config, command=TOY_WORKER)
+sys.exit(sum(not one.good for one in genmf_mi.run_batch({items!r}, config, executor=executor)))
 """
 
 
@@ -41,7 +42,7 @@ def test_killed_workers_and_a_killed_driver_lose_nothing(assets):
         def victim(line: str) -> bool:
             return "toy_worker" in line or line.startswith("ray::_attended")
 
-        killed = drill([[sys.executable, "-c", code]], 2, mark, victim=victim, moments=(0.5, 1.5))
+        killed = drill(Path("runs"), [[sys.executable, "-c", code]], 2, mark, victim=victim, moments=(0.5, 1.5))
     assert killed["exit_codes"] == [1] and killed["drivers_killed"] == 1
     result = counted(Path("runs"), 7)
     assert result["outcomes"] == 7 and result["complete"] == 6
