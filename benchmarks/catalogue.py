@@ -48,7 +48,7 @@ class Benchmark:
         return import_module(f"benchmarks.{self.name}").main
 
 
-VERIFICATION = "stress_verification.json"
+VERIFICATION, BATCH = "stress_verification.json", "batch.json"
 CATALOGUE = (
     Benchmark("rendering", "rendering.json", "milliseconds per view beside stock Mitsuba", 5, "not quoted"),
     Benchmark("memory", "memory.json", "whether a long refinement keeps its memory flat", 6, "not quoted"),
@@ -67,6 +67,12 @@ CATALOGUE = (
               "docs/printing.md; README", ("assets",)),
     Benchmark("print_bound", "print_bound.json", "how much of the look filament can hold at all", 20,
               "docs/printing.md", ("assets",)),
+    Benchmark("batch_throughput", BATCH, "parts per hour of warm workers, and of a process per asset", 25,
+              "docs/batch.md, Throughput"),
+    Benchmark("batch_faults", BATCH, "whether batches are complete however they are killed", 30,
+              "docs/batch.md, Killed"),
+    Benchmark("batch_simulation", BATCH, "100,000 assets on 1000 workers, simulated", 1,
+              "docs/batch.md, A hundred thousand"),
     Benchmark("sdf_route", "sdf_route.json", "the same from the field instead of the mesh", 70,
               "README, Mesh or field?; docs/generators.md", ("assets",)),
     Benchmark("stress_stage", "stress_stage.json", "five assets with and without the stress stage", 40,

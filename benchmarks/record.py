@@ -34,7 +34,12 @@ def write(name: str, results: dict | list) -> None:
 
 def write_verification(name: str, results: dict | list) -> None:
     """Replace the entry ``name`` of ``results/stress_verification.json``; the others stay."""
-    path = FOLDER / "stress_verification.json"
+    write_entry("stress_verification", name, results)
+
+
+def write_entry(file: str, name: str, results: dict | list) -> None:
+    """Replace the entry ``name`` of ``results/FILE.json``; the others stay."""
+    path = FOLDER / f"{file}.json"
     entries = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     write_text(path, json.dumps(entries | {name: results}, indent=1) + "\n")
     print(f"written to {path}, {name}")

@@ -16,6 +16,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from genmf_mi.assets.asset import Asset, load
     from genmf_mi.assets.sdf_asset import SdfAsset
+    from genmf_mi.batch.engine import run_batch
+    from genmf_mi.batch.items import BatchItem
+    from genmf_mi.batch.journal import BatchOutcome
+    from genmf_mi.batch.task import Limits
     from genmf_mi.core.config import RefineConfig
     from genmf_mi.pipeline.evaluation import evaluate
     from genmf_mi.pipeline.print_check import print_check
@@ -23,10 +27,26 @@ if TYPE_CHECKING:
     from genmf_mi.pipeline.results import Result
 
 __version__ = "0.1.0"
-__all__ = ["Asset", "RefineConfig", "Result", "SdfAsset", "evaluate", "load", "print_check", "refine"]
+__all__ = [
+    "Asset",
+    "BatchItem",
+    "BatchOutcome",
+    "Limits",
+    "RefineConfig",
+    "Result",
+    "SdfAsset",
+    "evaluate",
+    "load",
+    "print_check",
+    "refine",
+    "run_batch",
+]
 
 _DEFINED_IN = {
     "Asset": "genmf_mi.assets.asset",
+    "BatchItem": "genmf_mi.batch.items",
+    "BatchOutcome": "genmf_mi.batch.journal",
+    "Limits": "genmf_mi.batch.task",
     "RefineConfig": "genmf_mi.core.config",
     "Result": "genmf_mi.pipeline.results",
     "SdfAsset": "genmf_mi.assets.sdf_asset",
@@ -34,6 +54,7 @@ _DEFINED_IN = {
     "load": "genmf_mi.assets.asset",
     "print_check": "genmf_mi.pipeline.print_check",
     "refine": "genmf_mi.pipeline.refinement",
+    "run_batch": "genmf_mi.batch.engine",
 }
 
 

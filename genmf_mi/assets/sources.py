@@ -9,11 +9,9 @@ from genmf_mi.assets import asset as meshes
 from genmf_mi.assets import samples
 from genmf_mi.assets.asset import Asset
 from genmf_mi.assets.generators import files
+from genmf_mi.assets.samples import SDF_SUFFIX
 from genmf_mi.assets.sdf_asset import SdfAsset
 from genmf_mi.core.errors import AssetError
-
-SDF_SUFFIX = "_sdf"
-"""Appended to the name of a bundled sample, it names that sample converted to Φ on a grid."""
 
 
 def load(

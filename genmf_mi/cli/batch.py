@@ -1,99 +1,112 @@
-"""``genmf-mi batch``: many assets, one after the other; one that fails is recorded and does not stop the rest."""
+"""``genmf-mi batch``: many assets on one machine, a part of them on each of many, or all of them on a cluster."""
 
 from __future__ import annotations
 
-import json
-import subprocess
 import sys
-from pathlib import Path
-from shlex import split
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from genmf_mi.cli.arguments import call
 from genmf_mi.cli.refine import RefineArguments, parse_text
-from genmf_mi.core.errors import ConfigError, GenmfError
-from genmf_mi.core.files import write_text
+from genmf_mi.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from genmf_mi.pipeline.run_folder import RunFolder
-
-SUMMARY = "batch.json"
+    from genmf_mi.batch.journal import BatchOutcome
 
 
-def batch(assets: tuple[Path, ...], out: Path = Path("runs"), arguments: str = "", force: bool = False) -> int:
-    """Refine many assets, each in a process of its own, so that one that fails does not stop the others.
+def batch(
+    assets: tuple[str, ...],
+    out: str = "runs",
+    arguments: str = "",
+    engine: Literal["local", "ray", "inline"] = "local",
+    workers: int = 0,
+    threads: int = 0,
+    shard: str = "",
+    address: str = "auto",
+    time_limit_s: float = 4 * 3600.0,
+    memory_gb: float = 0.0,
+    crashes: int = 3,
+    retries: int = 1,
+    recycle_items: int = 100,
+    recycle_growth_mb: float = 1000.0,
+    retry_failed: bool = False,
+    force: bool = False,
+) -> int:
+    """Refine many assets, several at a time; one that fails does not stop the others.
 
-    Run it again to continue after an interruption: finished runs are skipped, interrupted ones resumed. A finished run
-    of other settings counts as failed and is left alone. ``batch.json`` in the output folder lists the outcomes. Exit
-    code 1 if any failed.
+    Run it again to continue after an interruption: finished runs are skipped, interrupted ones resumed from their
+    checkpoints. A finished run of other settings counts as failed and is left alone. `outcomes.jsonl` in the output
+    folder lists the outcomes as they come; `genmf-mi merge` makes a table and a gallery of them. Exit code 1 if any
+    failed. From a laptop to a cluster: docs/batch.md.
 
     Args:
-        assets: Files, or names of bundled samples.
-        out: Folder for the runs, one subfolder per asset.
+        assets: Files, URLs (s3://, gs:// ...), names of bundled samples, folders, patterns such as "scans/*.glb", and
+            manifests: .csv or .jsonl with the columns asset, name, and settings of `genmf-mi refine`.
+        out: Folder or URL for the runs, one subfolder per asset.
         arguments: More arguments for `genmf-mi refine`, as in --arguments="--size-mm 80 --preset draft".
+        engine: local: worker processes on this machine. ray: tasks on a Ray cluster, needs genmf-mi[ray]. inline: in
+            this process, for debugging.
+        workers: Worker processes of this machine; 0: as many as cores, memory and GPUs hold.
+        threads: Threads of each worker; 0: the cores are shared out, with Ray 1.
+        shard: 3/64 does the third of 64 parts of the batch; auto takes part and number from a job array of Slurm or
+            AWS Batch.
+        address: The Ray cluster: auto for the one that this machine belongs to, HOST:PORT, or ray://HOST:PORT.
+        time_limit_s: Seconds that an asset may take; 0 sets no limit.
+        memory_gb: Memory that a worker may hold; 0: its share of this machine.
+        crashes: Crashes of a worker after which its asset is put aside.
+        retries: Attempts after failures that may pass, as of a network or a full disk.
+        recycle_items: Assets after which a worker is replaced.
+        recycle_growth_mb: Growth of a worker since its first asset after which it is replaced; 0 sets no limit.
+        retry_failed: Try assets that failed by themselves or were put aside again.
         force: Replace the runs in the folder.
     """
+    if not assets:
+        raise ConfigError("name at least one asset, folder, pattern or manifest.")
+    chosen = parse_text(assets[0], arguments, "batch")
+    from genmf_mi.batch.arguments import items_of
+    from genmf_mi.batch.engine import run_batch
+    from genmf_mi.batch.shards import in_array
+    from genmf_mi.batch.task import Limits
     from genmf_mi.cli.progress import TerminalProgress
 
-    if not assets:
-        raise ConfigError("name at least one asset.")
-    names = [asset.stem for asset in assets]
-    if len(set(names)) < len(names):
-        raise ConfigError("two assets have the same file name, and so would share a folder. Rename one.")
-    chosen = parse_text(str(assets[0]), arguments, "batch")
-    outcomes: dict[str, dict] = {}
-    with TerminalProgress() as progress:
-        for i, (name, asset) in enumerate(zip(names, assets, strict=True)):
-            progress.stage(name)
-            progress.advance(i, len(assets))
-            outcome = outcomes[name] = _refine(asset, out / name, chosen, split(arguments), force)
-            write_text(out / SUMMARY, json.dumps(outcomes, indent=2) + "\n")
-            print(f"{name}: {outcome['state']} {outcome.get('error', '')}".rstrip())
-            for warning in outcome.get("warnings", ()):
-                progress.warn(f"{name}: {warning}")
-    return int(any(outcome["state"] == "failed" for outcome in outcomes.values()))
-
-
-def _refine(asset: Path, path: Path, chosen: RefineArguments, words: list[str], force: bool) -> dict:
-    """Refine one asset into the folder ``path`` unless that is done; its outcome.
-
-    words: the arguments that were parsed to ``chosen``, for the process.
-    """
-    from genmf_mi.pipeline.run_folder import METRICS, RunFolder
-
-    folder, metrics = RunFolder(path), path / METRICS
-    try:
-        if not force and _is_finished(folder, chosen):
-            return {"state": "skipped", "metrics": str(metrics)}
-        mode = "--resume" if folder.interrupted and not force else "--force"
-    except (GenmfError, OSError) as error:
-        return {"state": "failed", "error": f"error: {error}"}
-    command = [sys.executable, "-m", "genmf_mi", "refine", str(asset), "--out", str(path), "--quiet", mode, *words]
-    process = subprocess.run(command, capture_output=True, text=True, encoding="utf-8", errors="replace", check=False)
-    lines = [line for line in process.stderr.splitlines() if line.strip()]
-    warnings = [line.removeprefix("warning: ") for line in lines if line.startswith("warning: ")]
-    outcome: dict = {"warnings": warnings} if warnings else {}
-    if process.returncode == 0 and metrics.exists():
-        return {"state": "refined", "metrics": str(metrics), **outcome}
-    last = lines[-1] if lines else f"exit code {process.returncode}"
-    return {"state": "failed", "error": next((line for line in lines if line.startswith("error:")), last), **outcome}
-
-
-def _is_finished(folder: RunFolder, chosen: RefineArguments) -> bool:
-    """Whether ``folder`` holds a complete run of the settings in ``chosen``.
-
-    Raises:
-        ConfigError: a complete run of other settings. OutputError: a damaged one.
-    """
-    metrics = folder.metrics()
-    if metrics is None:
-        return False
-    folder.require(chosen.config.to_dict())
-    if chosen.verify and "stress" not in metrics:
-        raise ConfigError(
-            f"the run in {folder.path} was made without --verify. Leave it out, use another --out, or --force."
+    if not shard and in_array():
+        print(
+            "warning: this is one task of a job array, and does all of the batch: --shard auto does its part",
+            file=sys.stderr,
         )
-    return True
+    limits = Limits(time_limit_s, memory_gb, crashes, retries, recycle_items, recycle_growth_mb)
+    counts: dict[str, int] = {}
+    with TerminalProgress() as progress:
+        outcomes = run_batch(
+            items_of(assets), chosen.config, out=out, executor=engine, workers=workers, threads=threads, shard=shard,
+            address=address, limits=limits, force=force, retry_failed=retry_failed, progress=progress,
+            **_options(chosen),
+        )  # fmt: skip
+        for outcome in outcomes:
+            counts[outcome.state] = counts.get(outcome.state, 0) + 1
+            print(line(outcome), flush=True)
+            for warning in outcome.warnings if outcome.state != "skipped" else ():
+                progress.warn(f"{outcome.name}: {warning}")
+    print(", ".join(f"{count} {state}" for state, count in counts.items()))
+    return int(bool(counts.get("failed") or counts.get("quarantined")))
+
+
+def line(outcome: BatchOutcome) -> str:
+    """An outcome in one line."""
+    if outcome.of:
+        return f"{outcome.name}: duplicate of {outcome.of}"
+    if not outcome.good:
+        return f"{outcome.name}: {outcome.state} error: {outcome.error.splitlines()[0] if outcome.error else ''}"
+    seconds = f" in {outcome.seconds:.0f} s" if outcome.state == "refined" else ""
+    return f"{outcome.name}: {outcome.state}{seconds}"
+
+
+def _options(chosen: RefineArguments) -> dict[str, object]:
+    return {
+        **chosen.options(),
+        "verify": chosen.verify,
+        "print_check": chosen.print_check,
+        "slicer": chosen.slicer,
+    }
 
 
 def main(arguments: list[str]) -> int:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import NamedTemporaryFile
-from typing import IO
+from typing import IO, Any
 
 from genmf_mi.core.errors import OutputError
 
@@ -77,7 +77,7 @@ def locked(folder: str | Path | None, what: str = "run") -> Iterator[None]:
     except OSError as error:
         raise OutputError(f"cannot write to {folder}: {error.strerror}. Choose another --out.") from error
     with handle:
-        if not _lock(handle):
+        if not lock(handle):
             raise OutputError(f"another {what} is writing into {folder}. Wait for it, or choose another --out.")
         try:
             yield
@@ -88,7 +88,7 @@ def locked(folder: str | Path | None, what: str = "run") -> Iterator[None]:
                     place.rmdir()
 
 
-def _lock(handle: IO[str]) -> bool:
+def lock(handle: IO[Any]) -> bool:
     """Whether the file is ours alone until it is closed, be it by the end of the process."""
     try:
         import fcntl

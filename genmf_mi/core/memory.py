@@ -3,8 +3,41 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import resource
 import sys
+from contextlib import suppress
+from pathlib import Path
+
+
+def resident_gb(process: int) -> float:
+    """The resident set of a process in GB; 0 where the system does not tell (outside of Linux), or it has ended."""
+    try:
+        pages = int(Path(f"/proc/{process}/statm").read_text(encoding="ascii").split()[1])
+    except (OSError, ValueError, IndexError):
+        return 0.0
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e9
+
+
+def available_gb() -> float:
+    """Memory in GB that this process and its children may still take: of the machine, and of its container."""
+    rooms = [_machine_gb()]
+    for limit, used in (
+        ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
+        ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes"),
+    ):
+        with suppress(OSError, ValueError):  # "max" for none
+            most, now = (int(Path(file).read_text(encoding="ascii")) for file in (limit, used))
+            rooms.append((most - now) / 1e9)
+    return max(0.0, min(rooms))
+
+
+def _machine_gb() -> float:
+    with suppress(OSError, ValueError):
+        for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
+            if line.startswith("MemAvailable:"):
+                return int(line.split()[1]) * 1024 / 1e9
+    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
 
 
 def peak_gb() -> float:

@@ -72,6 +72,13 @@ def cuda_available() -> bool:
     return torch.cuda.is_available() and bool(drjit.has_backend(drjit.JitBackend.CUDA))
 
 
+def limit_threads(count: int) -> None:
+    """Have Dr.Jit compute with ``count`` threads in place of one per core."""
+    import drjit
+
+    drjit.set_thread_count(count)
+
+
 def use(device: str = "auto") -> str:
     """Activate the variant for ``device`` (``auto``, ``cpu`` or ``cuda``), register the plugins, return torch's
     device name.

@@ -20,7 +20,19 @@ from genmf_mi.pipeline import evaluation
 from genmf_mi.render import scene
 
 HEAVY = {"mitsuba", "drjit", "torch", "pymeshlab", "matplotlib", "igl", "trimesh", "scipy", "numpy", "rich"}
-COMMANDS = ("refine", "evaluate", "batch", "sweep", "convert", "scene", "samples", "stress", "weights", "doctor")
+COMMANDS = (
+    "refine",
+    "evaluate",
+    "batch",
+    "merge",
+    "sweep",
+    "convert",
+    "scene",
+    "samples",
+    "stress",
+    "weights",
+    "doctor",
+)
 
 
 pytestmark = pytest.mark.usefixtures("workplace")

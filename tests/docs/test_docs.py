@@ -37,7 +37,7 @@ def test_everything_public_is_described():
     names = [name for name, kind in vars(errors).items() if inspect.isclass(kind)]
     for name in [*genmf_mi.__all__, *names]:
         assert f"`{name}`" in API
-    for name in inspect.signature(genmf_mi.refine).parameters:
+    for name in [*inspect.signature(genmf_mi.refine).parameters, *inspect.signature(genmf_mi.run_batch).parameters]:
         assert f"`{name}`" in API
 
 
@@ -58,6 +58,7 @@ def test_snippets_run(workplace, two_views, monkeypatch):
     not made."""
     painted("bus.ply")
     real_refine, real_evaluate, real_check = genmf_mi.refine, genmf_mi.evaluate, genmf_mi.print_check
+    real_batch = genmf_mi.run_batch
 
     def refine(asset, config=None, **options):
         small = {"iterations": 2, "resolution": 96, "score_vgg": False, "stress": False, "device": "cpu"}
@@ -73,6 +74,11 @@ def test_snippets_run(workplace, two_views, monkeypatch):
         assert Path(part).is_file()
         return PrintCheck({"lamps": {"after": {"lpips_alex": 0.2}}}, {}, [])
 
+    def run_batch(items, config=None, **options):
+        inspect.signature(real_batch).bind(items, config, **options)
+        return iter([genmf_mi.BatchOutcome(genmf_mi.BatchItem(items[0]).folder_name, "refined")])
+
+    monkeypatch.setattr(genmf_mi, "run_batch", run_batch)
     monkeypatch.setattr(genmf_mi, "print_check", print_check)
     monkeypatch.setattr(genmf_mi, "refine", refine)
     monkeypatch.setattr(genmf_mi, "evaluate", evaluate)

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     import trimesh
 
 NAMES: tuple[str, ...] = ("strawberry", "watermelon", "ladybug", "globe", "leaf", "ball", "plaque")
+SDF_SUFFIX = "_sdf"
+"""Appended to the name of a bundled sample, it names that sample converted to Φ on a grid."""
 
 
 def make(name: str, resolution: int = 1024) -> trimesh.Trimesh:
