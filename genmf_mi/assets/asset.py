@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from genmf_mi.assets.albedo import Albedo, Material, Texture
 from genmf_mi.assets.overlays import Overlay, outermost, split
-from genmf_mi.assets.part import Part, join
+from genmf_mi.assets.part import Names, Part, groups, join
 from genmf_mi.core.errors import AssetError, ConfigError, GenmfError
 from genmf_mi.mesh.nearest import Nearest, barycentric
 
@@ -40,6 +40,9 @@ class Asset:
     faces: ``int64 [F,3]``.
     albedo: the colour of every face, linear RGB.
     source: the file that it was read from, or None.
+    groups: what the file calls its parts: the names of an OBJ's objects and groups, of a glTF's nodes and meshes, of a
+        3MF's objects. A part may have several names, or none.
+    group: ``int64 [F]``, which of ``groups`` a face is in.
     """
 
     name: str
@@ -47,6 +50,8 @@ class Asset:
     faces: np.ndarray
     albedo: Albedo
     source: Path | None = None
+    groups: tuple[Names, ...] = ((),)
+    group: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @classmethod
     def from_arrays(
@@ -96,7 +101,7 @@ class Asset:
         _require_sane(where, used.reshape(-1, 3), albedo)
         if np.ptp(used.reshape(-1, 3), axis=0).max() == 0:
             raise AssetError(f"{where} has no size: all its vertices are in one place. Export it again.")
-        return cls(name, vertices, faces, albedo, source)
+        return cls(name, vertices, faces, albedo, source, *groups(parts))
 
     @property
     def textured(self) -> bool:
@@ -120,6 +125,11 @@ class Asset:
         longest side that does not, so that the inside of a thin wall does not take the colour of its outside; and
         decals and what is printed on a transparent shell cover what is below them.
         """
+        index, closest = self.locate(points, normals)
+        return self.albedo_at(index, barycentric(self.vertices[self.faces[index]], closest))
+
+    def locate(self, points: np.ndarray, normals: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """The face ``[N]`` whose colour :meth:`closest_albedo` gives to each point, and the point ``[N,3]`` of it."""
         points = np.ascontiguousarray(points, dtype=np.float64)
         body, nearest, overlays = self._layers
         index, closest, _ = nearest.find(points)
@@ -131,7 +141,7 @@ class Asset:
             index, closest = outermost(
                 overlays, points, np.asarray(normals), below, self.vertices, self.faces, self.albedo
             )
-        return self.albedo_at(index, barycentric(self.vertices[self.faces[index]], closest))
+        return index, closest
 
     @cached_property
     def _layers(self) -> tuple[np.ndarray, Nearest, list[Overlay]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import struct
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,12 +20,17 @@ LARGEST_PIXELS = 10_000 * 10_000
 """Of a texture: decoding takes up to eight bytes for each."""
 
 
+Names = tuple[str, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class Part:
     """Triangles that share a material.
 
     vertices: ``float64 [V,3]``; faces: ``int64 [F,3]``.
     uv: ``[V,2]`` with v downwards, or None; colours: linear RGB ``[V,3]``, or None.
+    names: what the file calls groups of these faces, several names for a face that is in several.
+    group: ``int64 [F]``, which of ``names`` a face has; None if all have the first.
     """
 
     vertices: np.ndarray
@@ -33,6 +38,8 @@ class Part:
     material: Material
     uv: np.ndarray | None = None
     colours: np.ndarray | None = None
+    names: tuple[Names, ...] = ((),)
+    group: np.ndarray | None = None
 
     def transformed(self, matrix: np.ndarray) -> Part:
         """The part under an affine ``matrix [4,4]``; a mirroring one reverses the faces, so that they stay outwards."""
@@ -40,7 +47,7 @@ class Part:
             vertices = self.vertices @ matrix[:3, :3].T + matrix[:3, 3]
             mirrors = np.linalg.slogdet(matrix[:3, :3])[0] < 0
         faces = self.faces[:, ::-1] if mirrors else self.faces
-        return Part(vertices, faces, self.material, self.uv, self.colours)
+        return replace(self, vertices=vertices, faces=faces)
 
 
 def join(parts: list[Part]) -> tuple[np.ndarray, np.ndarray, Albedo]:
@@ -68,6 +75,16 @@ def join(parts: list[Part]) -> tuple[np.ndarray, np.ndarray, Albedo]:
             colours=stack([part.colours for part in parts], white),
         ),
     )
+
+
+def groups(parts: list[Part]) -> tuple[tuple[Names, ...], np.ndarray]:
+    """The distinct names of groups of faces of all parts together, and which of them each face has, ``int64 [F]``."""
+    found: dict[Names, int] = {}
+    rows: list[np.ndarray] = []
+    for part in parts:
+        numbers = np.array([found.setdefault(names, len(found)) for names in part.names], dtype=np.int64)
+        rows.append(numbers[np.zeros(len(part.faces), np.int64) if part.group is None else part.group])
+    return tuple(found), np.concatenate(rows)
 
 
 def decode_alpha(data: bytes) -> np.ndarray | None:

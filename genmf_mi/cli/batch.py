@@ -85,10 +85,12 @@ def _is_finished(folder: RunFolder, chosen: RefineArguments) -> bool:
     Raises:
         ConfigError: a complete run of other settings. OutputError: a damaged one.
     """
+    from genmf_mi.pipeline import regions
+
     metrics = folder.metrics()
     if metrics is None:
         return False
-    folder.require(chosen.config.to_dict())
+    folder.require({**chosen.config.to_dict(), "inputs": regions.fingerprints(regions.copies(chosen.config))})
     if chosen.verify and "stress" not in metrics:
         raise ConfigError(
             f"the run in {folder.path} was made without --verify. Leave it out, use another --out, or --force."

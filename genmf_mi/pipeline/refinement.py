@@ -29,7 +29,7 @@ from genmf_mi.core.progress import Progress
 from genmf_mi.core.timer import Timer
 from genmf_mi.losses import lpips_weights
 from genmf_mi.mesh.self_intersections import self_intersections
-from genmf_mi.pipeline import build_direction, stress_stage
+from genmf_mi.pipeline import build_direction, regions, stress_stage
 from genmf_mi.pipeline.build_direction import Candidate
 from genmf_mi.pipeline.displacement import Displacement, best_displacement, initial_heights
 from genmf_mi.pipeline.evaluator import Evaluator, build_evaluator
@@ -95,13 +95,20 @@ def refine(
         device = variant.use(config.device)
         lpips_weights.require(*config.networks)
         xml = Path(scene) if scene else scene_file.find(asset.name)
+        if out and resume:
+            config = regions.resumed(config, RunFolder(Path(out)))
+        shape, painted = regions.of_asset(asset, config, up)
         run = opened(out, asset, config, xml, references, force=force, resume=resume) if out else None
         timer.lap("load")
 
-        problem = build_problem(asset, config, xml, Path(folder), references=references, progress=progress, timer=timer)
+        problem = build_problem(
+            shape, config, xml, Path(folder), references=references, regions=painted, progress=progress, timer=timer
+        )
         _require_detail(problem)
         progress.stage("rendering the references")
-        evaluator = build_evaluator(problem.evaluation.reference, problem.evaluation.part, config.networks)
+        evaluator = build_evaluator(
+            problem.evaluation.reference, problem.evaluation.part, config.networks, regions=problem.region_images
+        )
         displacement = best_displacement(problem, evaluator, progress)
         problem, evaluator, displacement, stands = stood(problem, evaluator, displacement, config, progress)
         parameterization = parameterize(problem, config, device)
@@ -150,7 +157,8 @@ def stood(
         return problem, evaluator, displacement, stands
     problem = standing(problem, best.up, config)
     pair, vertices = problem.evaluation, torch.as_tensor(problem.surface.vertices, dtype=torch.float32)
-    evaluator = build_evaluator(pair.reference, pair.part, config.networks, vertices.to(evaluator.device))
+    vertices = vertices.to(evaluator.device)
+    evaluator = build_evaluator(pair.reference, pair.part, config.networks, vertices, problem.region_images)
     return problem, evaluator, best_displacement(problem, evaluator, progress), stands
 
 
@@ -168,7 +176,9 @@ def opened(
     pictures = [Path(text.rpartition("@")[0]) for text in references]
     turns = [text.rpartition("@")[2] for text in references]
     inputs = {"asset": fingerprint(asset), "scene": fingerprint(xml), "references": fingerprint(pictures, turns)}
-    return RunFolder.open(out, asset.name, config, inputs, force=force, resume=resume)
+    copies = regions.copies(config)
+    inputs |= regions.fingerprints(copies)
+    return RunFolder.open(out, asset.name, config, inputs, copies=copies, force=force, resume=resume)
 
 
 def _require(
@@ -188,7 +198,8 @@ def _require(
 
 def _require_detail(problem: RefinementProblem) -> None:
     """Raise :class:`AssetError` for a texture of one brightness, of which no relief would come."""
-    if not problem.training.reference.pictures and np.ptp(problem.surface.brightness) < ONE_BRIGHTNESS:
+    brightness = problem.surface.brightness[problem.relief]
+    if not problem.training.reference.pictures and np.ptp(brightness) < ONE_BRIGHTNESS:
         raise AssetError(
             f"the texture of {problem.asset.name} has one brightness all over, so there is nothing for the relief to "
             "show. Give pictures of it with --reference image.png@azimuth,elevation."

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from PIL.Image import Image
 from torch import Tensor
 
 from genmf_mi.core import memory
@@ -21,16 +22,21 @@ from genmf_mi.fabrication.checks import check
 from genmf_mi.geometry.parameterization import RefinedSurface
 from genmf_mi.geometry.plain_areas import is_plain
 from genmf_mi.mesh.measures import vertex_areas
+from genmf_mi.mesh.nearest import barycentric, closest_points
 from genmf_mi.pipeline.build_direction import Candidate
 from genmf_mi.pipeline.displacement import Displacement
 from genmf_mi.pipeline.evaluator import Evaluator, unseen_views
 from genmf_mi.pipeline.print_check import PrintCheck
 from genmf_mi.pipeline.problem import RefinementProblem
+from genmf_mi.pipeline.regions import RegionField
 from genmf_mi.pipeline.run_folder import AS_PRINTED, BEFORE_AFTER, REPORT, RunFolder
 from genmf_mi.render import bridge
 from genmf_mi.render.exr import write_buffers
 from genmf_mi.report import Report, View, write_before_after, write_report
+from genmf_mi.report.regions import region_picture
 
+NEXT_TO_NOTHING = 1e-6
+"""Share of the cap that counts as none, for round-off."""
 Shapes = dict[str, tuple[Tensor, Tensor]]
 """By name: vertices ``[V,3]`` in the normalised frame and faces ``[F,3]``."""
 
@@ -192,6 +198,8 @@ def metrics_of(outcome: Outcome, scores: dict[str, Any], part_mm: np.ndarray, rg
         "solid": {**problem.report, **report, **check(part_mm, surface.faces)},
         "nonfinite_gradients": sum(record.get("nonfinite_gradients", 0) for record in outcome.history),
     }
+    if problem.regions is not None:
+        metrics["regions"] = regions_of(outcome, problem.regions, distance)
     if outcome.verification:
         metrics["stress"] = outcome.verification
     if outcome.printed:
@@ -199,6 +207,31 @@ def metrics_of(outcome: Outcome, scores: dict[str, Any], part_mm: np.ndarray, rg
     if outcome.stress_stage_left_out:
         metrics["stress_stage_left_out"] = outcome.stress_stage_left_out
     return metrics | {"iterations": len(outcome.history), "interrupted": outcome.interrupted}
+
+
+def regions_of(outcome: Outcome, regions: RegionField, distance_mm: np.ndarray) -> dict[str, float]:
+    """Areas of the regions, the width of their fade, and how far the surface moved where it should stay flat."""
+    initial, foot = outcome.problem.surface, outcome.surface.foot
+    face, closest, _ = closest_points(foot, initial.vertices, initial.faces)
+    corners = initial.faces[face]
+    mask = np.einsum("vc,vc->v", barycentric(initial.vertices[corners], closest), regions.mask[corners])
+    areas = regions.areas_cm2(initial.vertices * outcome.problem.frame.mm_per_unit, initial.faces)
+    flat = distance_mm[mask < NEXT_TO_NOTHING]
+    return areas | {"fade_mm": outcome.config.mask_fade_mm, "flat_max_relief_mm": float(flat.max(initial=0.0))}
+
+
+def region_pictures(outcome: Outcome, before: bridge.Buffers) -> dict[str, Image]:
+    """What was painted on the part, by standard view; ``before`` shows it as it was."""
+    images, scorer = outcome.problem.region_images, outcome.evaluator
+    if images is None:
+        return {}
+    scorer.reference.scene.shade_as(scorer.scene)
+    coverage = before.geometry[2]
+    return {
+        view.label: region_picture(before.grey[i, 0].cpu().numpy(), coverage[i, 0].cpu().numpy(), *(m[i] for m in maps))
+        for maps in [images.maps(scorer.views)]
+        for i, view in enumerate(scorer.views)
+    }
 
 
 def stood(outcome: Outcome) -> dict[str, Any]:
@@ -278,6 +311,7 @@ def write_pictures(
         original=surface.foot,
         as_printed=outcome.printed.rows if outcome.printed else {},
         as_printed_names=outcome.printed.names if outcome.printed else [],
+        regions=region_pictures(outcome, buffers["before"]),
     )
     write_report(folder / REPORT, report)
     if save_exr:

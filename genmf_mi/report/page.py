@@ -24,6 +24,7 @@ from genmf_mi.report.pictures import (
     picture,
     relief_picture,
 )
+from genmf_mi.report.regions import told
 from genmf_mi.report.summary import notes, tiles
 
 _SIDE = 480
@@ -59,7 +60,9 @@ def render(report: Report) -> str:
     environment.filters["term"] = tables.term
     environment.filters["text"] = tables.text
     environment.filters["short"] = lambda value: f"{value:.3g}"
-    comparisons, other = tables.compare({k: v for k, v in report.metrics.items() if k not in ("stress", "stand")})
+    comparisons, other = tables.compare(
+        {k: v for k, v in report.metrics.items() if k not in ("stress", "stand", "regions")}
+    )
     mesh = packing.pack(report)
     drawn = curves.curves(report.history)
     return environment.from_string(_file("page.html")).render(
@@ -70,6 +73,8 @@ def render(report: Report) -> str:
         hero=_hero(by_change(report.views)[0]),
         views=[(view.label, _figures(view, report.cap_mm)) for view in report.views],
         as_printed=[(light, _printed(pictures, report)) for light, pictures in report.as_printed.items()],
+        regions=[_figure(view, f"What was painted, {view}", picture) for view, picture in report.regions.items()],
+        regions_told=told(report.metrics),
         comparisons=comparisons,
         other_metrics=other,
         stands=tables.stands(report.metrics),

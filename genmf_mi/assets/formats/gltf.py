@@ -8,6 +8,7 @@ specification.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -79,7 +80,8 @@ class _Reader:
             for primitive in mesh["primitives"]:
                 if primitive.get("mode", 4) not in (4, 5, 6):
                     continue  # points and lines have no surface
-                part = self.primitive(primitive, weights)
+                names = tuple(str(one["name"]) for one in (node, mesh) if one.get("name"))
+                part = replace(self.primitive(primitive, weights), names=(tuple(dict.fromkeys(names)),))
                 if "skin" in node and "JOINTS_0" in primitive["attributes"]:
                     parts.append(self.posed(part, primitive["attributes"], self.tree["skins"][node["skin"]], world))
                 else:
@@ -125,7 +127,7 @@ class _Reader:
         weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)
         blend = np.einsum("vk,vkij->vij", weights, joints[self.data.accessor(attributes["JOINTS_0"]).astype(np.int64)])
         vertices = np.einsum("vij,vj->vi", blend[:, :3, :3], part.vertices) + blend[:, :3, 3]
-        return Part(vertices, part.faces, part.material, part.uv, part.colours)
+        return replace(part, vertices=vertices)
 
     def material(self, index: int | None) -> tuple[Material, int]:
         """The base colour of a material, and the UV set that its texture uses."""
@@ -148,11 +150,11 @@ class _Reader:
         red, green, blue = map(float, factor[:3])
         opacity = float(factor[3]) if len(factor) > 3 else 1.0
         if image is None:
-            return Material((red, green, blue), None, cutoff, opacity), 0
+            return Material((red, green, blue), None, cutoff, opacity, str(material.get("name", ""))), 0
         transform = image.get("extensions", {}).get("KHR_texture_transform", {})
         texture = self._texture(image, transform, transparent=cutoff is not None)
         uv_set = transform.get("texCoord", image.get("texCoord", 0))
-        return Material((red, green, blue), texture, cutoff, opacity), uv_set
+        return Material((red, green, blue), texture, cutoff, opacity, str(material.get("name", ""))), uv_set
 
     def _texture(self, image: dict, transform: dict, *, transparent: bool) -> Texture:
         entry = self.tree["textures"][image["index"]]
