@@ -20,12 +20,13 @@ from genmf_mi.core.regions import VERTEX_COLOURS, Regions, Stroke
 from genmf_mi.geometry.fade import faded
 from genmf_mi.geometry.strokes import Label, painted
 from genmf_mi.mesh.measures import vertex_areas
+from genmf_mi.mesh.nearest import barycentric, closest_points
 from genmf_mi.pipeline.run_folder import RunFolder, fingerprint
 
 FLAT = 1e-3
 """Share of the cap below which a mask asks for a flat surface: black of an image that was compressed is not quite 0."""
-WANTED = 0.5
-"""Share of the cap from which on texture without relief counts against a part."""
+NEXT_TO_NOTHING = 1e-6
+"""Share of the cap that counts as none, for round-off."""
 
 
 @dataclass(frozen=True)
@@ -180,6 +181,23 @@ def copies(config: RefineConfig) -> dict[str, bytes]:
 def fingerprints(kept: Mapping[str, bytes]) -> dict[str, str]:
     """Of the content of :func:`copies`, for :meth:`RunFolder.require`."""
     return {Path(name).stem: fingerprint(content) for name, content in kept.items()}
+
+
+def told(
+    field: RegionField, vertices: np.ndarray, faces: np.ndarray, foot: np.ndarray, distance_mm: np.ndarray, frame: Frame
+) -> dict[str, float]:
+    """Areas of the regions, and how far the surface moved where it should stay as it is.
+
+    Args:
+        field: at the ``vertices [V,3]`` of the initial surface, normalised frame; faces ``[F,3]``.
+        foot: ``[N,3]``, the points of that surface that came to be the vertices of the part.
+        distance_mm: ``[N]``, how far these moved.
+    """
+    face, closest, _ = closest_points(foot, vertices, faces)
+    corners = faces[face]
+    mask = np.einsum("nc,nc->n", barycentric(vertices[corners], closest), field.mask[corners])
+    flat = distance_mm[mask < NEXT_TO_NOTHING]
+    return field.areas_cm2(vertices * frame.mm_per_unit, faces) | {"flat_max_relief_mm": float(flat.max(initial=0.0))}
 
 
 def resumed(config: RefineConfig, run: RunFolder) -> RefineConfig:

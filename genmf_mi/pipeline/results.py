@@ -22,21 +22,18 @@ from genmf_mi.fabrication.checks import check
 from genmf_mi.geometry.parameterization import RefinedSurface
 from genmf_mi.geometry.plain_areas import is_plain
 from genmf_mi.mesh.measures import vertex_areas
-from genmf_mi.mesh.nearest import barycentric, closest_points
+from genmf_mi.pipeline import regions
 from genmf_mi.pipeline.build_direction import Candidate
 from genmf_mi.pipeline.displacement import Displacement
 from genmf_mi.pipeline.evaluator import Evaluator, unseen_views
 from genmf_mi.pipeline.print_check import PrintCheck
 from genmf_mi.pipeline.problem import RefinementProblem
-from genmf_mi.pipeline.regions import RegionField
 from genmf_mi.pipeline.run_folder import AS_PRINTED, BEFORE_AFTER, REPORT, RunFolder
 from genmf_mi.render import bridge
 from genmf_mi.render.exr import write_buffers
 from genmf_mi.report import Report, View, write_before_after, write_report
 from genmf_mi.report.regions import region_picture
 
-NEXT_TO_NOTHING = 1e-6
-"""Share of the cap that counts as none, for round-off."""
 Shapes = dict[str, tuple[Tensor, Tensor]]
 """By name: vertices ``[V,3]`` in the normalised frame and faces ``[F,3]``."""
 
@@ -199,7 +196,9 @@ def metrics_of(outcome: Outcome, scores: dict[str, Any], part_mm: np.ndarray, rg
         "nonfinite_gradients": sum(record.get("nonfinite_gradients", 0) for record in outcome.history),
     }
     if problem.regions is not None:
-        metrics["regions"] = regions_of(outcome, problem.regions, distance)
+        metrics["regions"] = regions.told(
+            problem.regions, problem.surface.vertices, problem.surface.faces, surface.foot, distance, problem.frame
+        ) | {"fade_mm": outcome.config.mask_fade_mm}
     if outcome.verification:
         metrics["stress"] = outcome.verification
     if outcome.printed:
@@ -207,17 +206,6 @@ def metrics_of(outcome: Outcome, scores: dict[str, Any], part_mm: np.ndarray, rg
     if outcome.stress_stage_left_out:
         metrics["stress_stage_left_out"] = outcome.stress_stage_left_out
     return metrics | {"iterations": len(outcome.history), "interrupted": outcome.interrupted}
-
-
-def regions_of(outcome: Outcome, regions: RegionField, distance_mm: np.ndarray) -> dict[str, float]:
-    """Areas of the regions, the width of their fade, and how far the surface moved where it should stay flat."""
-    initial, foot = outcome.problem.surface, outcome.surface.foot
-    face, closest, _ = closest_points(foot, initial.vertices, initial.faces)
-    corners = initial.faces[face]
-    mask = np.einsum("vc,vc->v", barycentric(initial.vertices[corners], closest), regions.mask[corners])
-    areas = regions.areas_cm2(initial.vertices * outcome.problem.frame.mm_per_unit, initial.faces)
-    flat = distance_mm[mask < NEXT_TO_NOTHING]
-    return areas | {"fade_mm": outcome.config.mask_fade_mm, "flat_max_relief_mm": float(flat.max(initial=0.0))}
 
 
 def region_pictures(outcome: Outcome, before: bridge.Buffers) -> dict[str, Image]:

@@ -54,8 +54,8 @@ def told(metrics: dict[str, Any]) -> list[str]:
     if regions["flat_cm2"]:
         sentences.append(
             f"Kept flat: {area('flat_cm2')} of the surface (blue), where it moved by "
-            f"{tables.text(regions['flat_max_relief_mm'])}\N{NO-BREAK SPACE}mm at most. What the texture shows there counts "
-            "neither in the loss nor in the scores."
+            f"{tables.text(regions['flat_max_relief_mm'])}\N{NO-BREAK SPACE}mm at most. What the texture shows "
+            "there counts neither in the loss nor in the scores."
         )
     if regions["fading_cm2"]:
         sentences.append(f"In between: {area('fading_cm2')}, with a part of the cap.")
