@@ -17,19 +17,33 @@ if TYPE_CHECKING:
     from genmf_mi.assets.asset import Asset, load
     from genmf_mi.assets.sdf_asset import SdfAsset
     from genmf_mi.core.config import RefineConfig
+    from genmf_mi.core.regions import Regions, Stroke
     from genmf_mi.pipeline.evaluation import evaluate
     from genmf_mi.pipeline.print_check import print_check
     from genmf_mi.pipeline.refinement import refine
     from genmf_mi.pipeline.results import Result
 
 __version__ = "0.1.0"
-__all__ = ["Asset", "RefineConfig", "Result", "SdfAsset", "evaluate", "load", "print_check", "refine"]
+__all__ = [
+    "Asset",
+    "RefineConfig",
+    "Regions",
+    "Result",
+    "SdfAsset",
+    "Stroke",
+    "evaluate",
+    "load",
+    "print_check",
+    "refine",
+]
 
 _DEFINED_IN = {
     "Asset": "genmf_mi.assets.asset",
     "RefineConfig": "genmf_mi.core.config",
+    "Regions": "genmf_mi.core.regions",
     "Result": "genmf_mi.pipeline.results",
     "SdfAsset": "genmf_mi.assets.sdf_asset",
+    "Stroke": "genmf_mi.core.regions",
     "evaluate": "genmf_mi.pipeline.evaluation",
     "load": "genmf_mi.assets.asset",
     "print_check": "genmf_mi.pipeline.print_check",

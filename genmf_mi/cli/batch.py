@@ -6,7 +6,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
-from shlex import split
+from shlex import join, split
 from typing import TYPE_CHECKING
 
 from genmf_mi.cli.arguments import call
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from genmf_mi.pipeline.run_folder import RunFolder
 
 SUMMARY = "batch.json"
+REGIONS_SUFFIX = ".regions.json"
+"""In place of an asset's suffix: what was painted on it."""
 
 
 def batch(assets: tuple[Path, ...], out: Path = Path("runs"), arguments: str = "", force: bool = False) -> int:
@@ -25,7 +27,7 @@ def batch(assets: tuple[Path, ...], out: Path = Path("runs"), arguments: str = "
 
     Run it again to continue after an interruption: finished runs are skipped, interrupted ones resumed. A finished run
     of other settings counts as failed and is left alone. ``batch.json`` in the output folder lists the outcomes. Exit
-    code 1 if any failed.
+    code 1 if any failed. Strokes in bus.regions.json beside bus.glb are its --regions, unless --arguments name some.
 
     Args:
         assets: Files, or names of bundled samples.
@@ -46,7 +48,12 @@ def batch(assets: tuple[Path, ...], out: Path = Path("runs"), arguments: str = "
         for i, (name, asset) in enumerate(zip(names, assets, strict=True)):
             progress.stage(name)
             progress.advance(i, len(assets))
-            outcome = outcomes[name] = _refine(asset, out / name, chosen, split(arguments), force)
+            words = split(arguments)
+            beside = asset.with_name(asset.stem + REGIONS_SUFFIX)
+            if chosen.config.regions is None and beside.is_file():
+                words += ["--regions", str(beside)]
+            own = parse_text(str(asset), join(words), "batch")
+            outcome = outcomes[name] = _refine(asset, out / name, own, words, force)
             write_text(out / SUMMARY, json.dumps(outcomes, indent=2) + "\n")
             print(f"{name}: {outcome['state']} {outcome.get('error', '')}".rstrip())
             for warning in outcome.get("warnings", ()):
