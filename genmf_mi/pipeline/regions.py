@@ -25,6 +25,8 @@ from genmf_mi.pipeline.run_folder import RunFolder, fingerprint
 
 FLAT = 1e-3
 """Share of the cap below which a mask asks for a flat surface: black of an image that was compressed is not quite 0."""
+DETOUR = 2 / 3**0.5
+"""Length of a way along the edges of equilateral triangles over that of the straight one, at most."""
 NEXT_TO_NOTHING = 1e-6
 """Share of the cap that counts as none, for round-off."""
 
@@ -96,6 +98,9 @@ class AssetRegions:
         strength, weight = np.ones(len(vertices)), np.ones(len(vertices))
         reach = self.fade_mm + float(edge.max())
         for (kind, factor), distance in self._distances(mm, normals, frame, reach).items():
+            # Where strokes were erased, outlines are left of which nothing is inside
+            inside = faded(np.where(distance <= 0, 0.0, 9 * reach), mm, faces, 1.0)
+            distance = np.maximum(distance, np.where(distance <= 0, distance, inside / DETOUR - edge))
             if kind == "flat":
                 mask = np.minimum(mask, np.clip((distance - edge) / self.fade_mm, 0, 1))
                 continue

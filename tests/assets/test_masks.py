@@ -1,4 +1,4 @@
-"""Masks by texture coordinates, by colours of meshes and by the names that files of every format give to their parts."""
+"""Masks by texture coordinates, by colours of meshes and by the names that files give to their parts."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ class TestNames:
         for i, name in enumerate(("hull", "")):
             mesh = model.AddMeshObject()
             mesh.SetName(name)
-            shifted = box.vertices + [2.0 * i, 0, 0]
+            shifted = box.vertices + np.array([2.0 * i, 0, 0])
             mesh.SetGeometry([lib3mf.Position(tuple(v)) for v in shifted.tolist()],
                              [lib3mf.Triangle(tuple(f)) for f in box.faces.tolist()])  # fmt: skip
             model.AddBuildItem(mesh, lib3mf.get_wrapper().GetIdentityTransform())

@@ -85,14 +85,16 @@ class TestField:
 
     def test_stronger_and_matters(self):
         field = self.on(dab("stronger", 20, 3.0), dab("matters", 20, 2.0, x=-1.0))
-        near, far = self.distance < 0, 50 * np.linalg.norm(self.vertices + [1, 0, 0], axis=1) < 20
+        near, far = self.distance < 0, 50 * np.linalg.norm(self.vertices - np.array([-1, 0, 0]), axis=1) < 20
         assert (field.strength[near] == 3).all() and (field.weight[near] == 3).all()
         assert (field.strength[far] == 1).all() and (field.weight[far] == 2).all()
         assert (field.mask == 1).all() and ((field.weight > 1) & (field.weight < 2)).any()
 
     def test_flat_over_stronger_and_erased(self):
         assert (self.on(dab("stronger", 20, 3.0), dab(radius=20)).cap[self.distance < 0] == 0).all()
-        assert (self.on(dab(radius=20), dab("erase", 30)).mask == 1).all()
+        for radius in (20, 21, 22.5, 30):  # not even the outline of what was erased is left
+            assert (self.on(dab(radius=20), dab("erase", radius)).mask == 1).all()
+            assert (self.on(dab("stronger", 20, 3.0), dab("erase", radius)).cap == 1).all()
 
     def test_areas(self):
         told = self.on(dab(radius=20), dab("matters", 20, x=-1.0)).areas_cm2(50 * self.vertices, self.faces)
