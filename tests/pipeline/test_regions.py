@@ -121,7 +121,7 @@ class TestRun:
         """The part before scores better than without regions, as half of its faults are none."""
         for group in (lambda m: m, lambda m: m["unseen"], lambda m: m["paper_alignment"]):
             masked, free = (group(run.metrics)["before"] for run in (half, twin))
-            assert masked["lpips_alex"] < 0.8 * free["lpips_alex"] and masked["ssim"] > free["ssim"]
+            assert masked["lpips_alex"] < 0.9 * free["lpips_alex"] and masked["ssim"] > free["ssim"]
 
     def test_copies_and_report(self, half, painted):
         assert "regions.json" in os.listdir(half.out)
