@@ -1,7 +1,7 @@
 # The menu: `make` prints it. Every target sets up what it needs; once that is done, it costs nothing.
 
 .DEFAULT_GOAL := menu
-.PHONY: menu setup refine check test lint coverage bench samples doctor clean named
+.PHONY: menu setup refine check test lint coverage bench fuzz samples doctor clean named
 
 BIN := .venv/bin
 READY := .venv/ready
@@ -16,6 +16,7 @@ make test                       all tests; ARGS="-k NAME" for some
 make lint                       ruff, import contract, types
 make coverage                   tests with coverage of lines and branches
 make bench                      what makes which file of benchmarks/results; ARGS="NAME" or ARGS="--all ASSETS_DIR" to run it
+make fuzz                       5000 damaged inputs of every kind that is read; N=COUNT for as many, ARGS="--seed 1"
 make samples                    write the bundled samples as GLB files
 make doctor                     what is there, what is missing, how to fix it
 make clean                      remove .venv and caches; your runs stay
@@ -67,6 +68,9 @@ coverage: $(TOOLS)
 
 bench: $(TOOLS)
 	@$(BIN)/python -m benchmarks $(ARGS)
+
+fuzz: $(TOOLS)
+	@$(BIN)/python -m benchmarks fuzz --count $(or $(N),5000) $(ARGS)
 
 samples: $(READY)
 	@$(BIN)/genmf-mi samples $(ARGS)

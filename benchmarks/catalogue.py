@@ -83,6 +83,8 @@ CATALOGUE = (
               "not quoted"),
     Benchmark("stress_network_scores", "stress_network_test.json", "test scores of the network and of baselines", 20,
               "docs/model_card.md, How good it is", ("data",), ("finer", "weights")),
+    Benchmark("fuzz", "fuzz.json", "what becomes of 5000 damaged inputs of every kind that is read", 60,
+              "CONTRIBUTING.md, Damaged inputs"),
     Benchmark("verification.hollow_sphere", VERIFICATION, "order of convergence on a hollow sphere", 3,
               "docs/stress.md, Verification"),
     Benchmark("verification.assembly", VERIFICATION, "P1 matrices: our kernels beside scikit-fem", 1,

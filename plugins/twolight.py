@@ -40,6 +40,13 @@ class TwoLight(mi.BSDF):
          multiplies the albedo; empty for a material of one colour.
          (Default: none)
 
+     * - occlusion, emission
+       - |string|
+       - Names of one-channel mesh attributes: what arrives of the ambient
+         light, and what the surface gives off, over what a white one of this
+         material reflects in full light; empty for 1 and for 0.
+         (Default: none)
+
      * - ambient
        - |float|
        - The ambient coefficient a in [0, 1). (Default: 0.2)
@@ -93,6 +100,10 @@ class TwoLight(mi.BSDF):
         \right), \qquad
         \phi(x) = \frac{\mathrm{softplus}(s x)}{\mathrm{softplus}(s)}.
 
+    With an attribute o of ``occlusion`` and e of ``emission``, the ambient
+    coefficient in the sum is a·o, and γ·e is added to G, up to γ in total, which
+    is the brightest that a screen would show.
+
     With ``layers``, the normal is replaced by the mix of normals that a stack of
     beads along ``build`` shows in the direction of the viewer, and G is the mean
     over them (:py:class:`genmf_mi.plugins.layers.Layers`). It does not depend on
@@ -130,6 +141,7 @@ class TwoLight(mi.BSDF):
 
         self.albedo = props.get_texture("albedo", 0.8)
         self.attribute = props.get("attribute", "")
+        self.occlusion, self.emission = props.get("occlusion", ""), props.get("emission", "")
         self.ambient = mi.Float(props.get("ambient", 0.2))
         self.key = mi.Vector3f(props.get("key", [-0.4, 0.5, 1.0]))
         self.fill = mi.Vector3f(props.get("fill", [0.8, 0.1, 0.6]))
@@ -207,7 +219,15 @@ class TwoLight(mi.BSDF):
             diffuse = sum(weight * self.diffuse(normal) for weight, normal in mix)
         else:
             diffuse = self.diffuse(n)
-        return self.reflectance(si, active) * dr.lerp(diffuse, 1, self.ambient)
+        light = dr.lerp(diffuse, 1, self.ambient)
+        if self.occlusion:
+            light -= self.ambient * (1 - si.shape.eval_attribute_1(self.occlusion, si, active))
+        G = self.reflectance(si, active) * light
+        if self.emission:
+            emission = si.shape.eval_attribute_1(self.emission, si, active)
+            white = self.albedo.eval_1(si, active)
+            G = dr.minimum(G + white * emission, white)
+        return G
 
     def diffuse(self, n: mi.Vector3f) -> mi.Float:
         """What the two lights give to a surface of normal ``n``, without the albedo."""

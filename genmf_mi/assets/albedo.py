@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -40,18 +41,35 @@ class Texture:
 
     def sample(self, uv: np.ndarray) -> np.ndarray:
         """Linear RGB ``float32 [N,3]`` at ``uv [N,2]``; interpolated after decoding, as graphics cards do."""
+        return self._interpolated(uv, colour.bytes_to_linear)
+
+    def sample_data(self, uv: np.ndarray, table: np.ndarray) -> np.ndarray:
+        """What a picture that holds no colours says at ``uv [N,2]``: bytes decoded by ``table [256]``, ``[N,3]``."""
+        return self._interpolated(uv, table.__getitem__)
+
+    def reduced(self, times: int) -> Texture:
+        """The picture at 1/``times`` of its resolution, for data that are looked up so many texels apart."""
+        from PIL import Image
+
+        if times < 2:
+            return self
+        height, width = (max(1, side // times) for side in self.pixels.shape[:2])
+        image = Image.fromarray(self.pixels).resize((width, height), Image.Resampling.BOX)
+        return replace(self, pixels=np.asarray(image), alpha=None)
+
+    def _interpolated(self, uv: np.ndarray, decode: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
         uv = uv @ self.transform[:, :2].T + self.transform[:, 2]
         height, width = self.pixels.shape[:2]
         if self.nearest:
             columns = _wrap(np.floor(uv[:, 0] * width).astype(np.int64), width, self.wrap[0])
             rows = _wrap(np.floor(uv[:, 1] * height).astype(np.int64), height, self.wrap[1])
-            return colour.bytes_to_linear(self.pixels[rows, columns])
+            return decode(self.pixels[rows, columns])
         x, y = uv[:, 0] * width - 0.5, uv[:, 1] * height - 0.5
         left, top = np.floor(x), np.floor(y)
         right_part, lower_part = (x - left).astype(np.float32)[:, None], (y - top).astype(np.float32)[:, None]
         columns = [_wrap(left.astype(np.int64) + step, width, self.wrap[0]) for step in (0, 1)]
         rows = [_wrap(top.astype(np.int64) + step, height, self.wrap[1]) for step in (0, 1)]
-        texel = [[colour.bytes_to_linear(self.pixels[row, column]) for column in columns] for row in rows]
+        texel = [[decode(self.pixels[row, column]) for column in columns] for row in rows]
         upper, lower = (left + (right - left) * right_part for left, right in texel)
         return upper + (lower - upper) * lower_part
 

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
+from genmf_mi.assets import maps
 from genmf_mi.assets.albedo import Albedo, Material, Texture
+from genmf_mi.assets.maps import Look, PlacedMaps
 from genmf_mi.assets.overlays import Overlay, outermost, split
-from genmf_mi.assets.part import Names, Part, groups, join
+from genmf_mi.assets.part import Names, Part, groups, join, placed_maps
+from genmf_mi.assets.reading import reading
 from genmf_mi.core.errors import AssetError, ConfigError, GenmfError
+from genmf_mi.core.text import printable
 from genmf_mi.mesh.nearest import Nearest, barycentric
 
 FORMATS = (".glb", ".gltf", ".obj", ".ply", ".3mf", ".stl")
@@ -40,6 +44,8 @@ class Asset:
     faces: ``int64 [F,3]``.
     albedo: the colour of every face, linear RGB.
     source: the file that it was read from, or None.
+    maps: normal, occlusion and emissive maps, of some faces each.
+    notes: what was left out or mended on reading, a sentence each.
     groups: what the file calls its parts: the names of an OBJ's objects and groups, of a glTF's nodes and meshes, of a
         3MF's objects. A part may have several names, or none.
     group: ``int64 [F]``, which of ``groups`` a face is in.
@@ -50,6 +56,8 @@ class Asset:
     faces: np.ndarray
     albedo: Albedo
     source: Path | None = None
+    maps: tuple[PlacedMaps, ...] = ()
+    notes: tuple[str, ...] = ()
     groups: tuple[Names, ...] = ((),)
     group: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
 
@@ -98,15 +106,17 @@ class Asset:
         used = vertices[faces]
         if not np.isfinite(used).all():
             raise AssetError(f"{where} has vertices that are not numbers (NaN or infinite). Repair or export it again.")
-        _require_sane(where, used.reshape(-1, 3), albedo)
+        placed = placed_maps(parts)
+        _require_sane(where, used.reshape(-1, 3), albedo, placed)
         if np.ptp(used.reshape(-1, 3), axis=0).max() == 0:
             raise AssetError(f"{where} has no size: all its vertices are in one place. Export it again.")
-        return cls(name, vertices, faces, albedo, source, *groups(parts))
+        notes = tuple(dict.fromkeys(note for part in parts for note in part.notes))
+        return cls(printable(name), vertices, faces, albedo, source, placed, notes, *groups(parts))
 
     @property
     def textured(self) -> bool:
         """Whether the colour varies, so that there is detail for the relief to show."""
-        return self.albedo.varies
+        return self.albedo.varies or bool(self.maps)
 
     @property
     def matter(self) -> np.ndarray:
@@ -125,8 +135,27 @@ class Asset:
         longest side that does not, so that the inside of a thin wall does not take the colour of its outside; and
         decals and what is printed on a transparent shell cover what is below them.
         """
+        return self.albedo_at(*self._seen(points, normals))
+
+    def look(self, points: np.ndarray, normals: np.ndarray, spacing: float = 0.0) -> Look | None:
+        """What the maps make of ``points [N,3]`` in file units with ``normals [N,3]`` of unit length, in the place of
+        :meth:`closest_albedo`; None if there are none. spacing: see :func:`genmf_mi.assets.maps.look`."""
+        if not self.maps:
+            return None
+        return maps.look(self.maps, self.vertices, self.faces, *self._seen(points, normals), normals, spacing)
+
+    def with_maps(self, *, normal: bool, occlusion: bool, emission: bool) -> Asset:
+        """The same with the maps that are wanted only."""
+        kept = [
+            replace(each, maps=each.maps.only(normal=normal, occlusion=occlusion, emission=emission))
+            for each in self.maps
+        ]
+        return replace(self, maps=tuple(each for each in kept if each.maps.present)) if self.maps else self
+
+    def _seen(self, points: np.ndarray, normals: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """The faces ``[N]`` that are seen at ``points``, and where on them, barycentric ``[N,3]``."""
         index, closest = self.locate(points, normals)
-        return self.albedo_at(index, barycentric(self.vertices[self.faces[index]], closest))
+        return index, barycentric(self.vertices[self.faces[index]], closest)
 
     def locate(self, points: np.ndarray, normals: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """The face ``[N]`` whose colour :meth:`closest_albedo` gives to each point, and the point ``[N,3]`` of it."""
@@ -151,7 +180,7 @@ class Asset:
         return body, Nearest(self.vertices, self.faces[body]), over
 
 
-def _require_sane(where: object, points: np.ndarray, albedo: Albedo) -> None:
+def _require_sane(where: object, points: np.ndarray, albedo: Albedo, placed: tuple[PlacedMaps, ...]) -> None:
     """Raise :class:`AssetError` for what would be refused after the optimisation, or break native code.
 
     points: ``[N,3]``, corners of all faces.
@@ -170,9 +199,11 @@ def _require_sane(where: object, points: np.ndarray, albedo: Albedo) -> None:
             raise AssetError(f"{where} has {what} that are not numbers (NaN or infinite). Repair or export it again.")
     if not np.isfinite([material.factor for material in albedo.materials]).all():
         raise AssetError(f"{where} has a base colour that is no number (NaN or infinite). Repair or export it again.")
+    if not np.isfinite([each.maps.emission for each in placed]).all():
+        raise AssetError(f"{where} has an emissive colour that is no number (NaN or infinite). Export it again.")
 
 
-def load(path: str | Path, up: str | None = None) -> Asset:
+def load(path: str | Path, up: str | None = None, *, files_anywhere: bool = False) -> Asset:
     """Read a GLB, GLTF, OBJ (with MTL), PLY, 3MF or STL file.
 
     Colours become linear RGB. By their specification glTF textures are sRGB-encoded and its factors and vertex colours
@@ -181,6 +212,7 @@ def load(path: str | Path, up: str | None = None) -> Asset:
     Args:
         up: ``x``, ``-x``, ``y``, ``-y``, ``z`` or ``-z``, the axis of the file that points upwards; None takes z for
             3MF and STL and y otherwise.
+        files_anywhere: let it name textures, materials and buffers outside of its own folder.
 
     Raises:
         AssetError: the file is missing, damaged, of an unknown kind, or holds no mesh; or a texture is missing.
@@ -195,7 +227,8 @@ def load(path: str | Path, up: str | None = None) -> Asset:
     if path.stat().st_size == 0:
         raise AssetError(f"{path} is empty. Download or export it again.")
     try:
-        parts = _reader(suffix)(path)
+        with reading(anywhere=files_anywhere):
+            parts = _reader(suffix)(path)
     except GenmfError:
         raise
     except Exception as error:  # third-party parsers raise anything at all on damaged files

@@ -6,18 +6,22 @@ import io
 import struct
 import warnings
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from hashlib import sha256
+from typing import IO, TYPE_CHECKING
 
 import numpy as np
 
 from genmf_mi.assets.albedo import Albedo, Material
+from genmf_mi.assets.maps import NO_MAPS, Maps, PlacedMaps
+from genmf_mi.assets.reading import current
 from genmf_mi.core.errors import AssetError
 
 if TYPE_CHECKING:
+    from PIL.Image import Image
     from PIL.ImageFile import ImageFile
 
-LARGEST_PIXELS = 10_000 * 10_000
-"""Of a texture: decoding takes up to eight bytes for each."""
+_KINDS = ("PNG", "JPEG", "WEBP", "BMP", "TIFF", "TGA", "GIF", "PPM", "PSD", "DDS", "PCX", "SGI", "JPEG2000")
+_ROWS = 256
 
 
 Names = tuple[str, ...]
@@ -29,6 +33,7 @@ class Part:
 
     vertices: ``float64 [V,3]``; faces: ``int64 [F,3]``.
     uv: ``[V,2]`` with v downwards, or None; colours: linear RGB ``[V,3]``, or None.
+    maps: normal, occlusion and emissive maps. notes: what the reader left out or mended, a sentence each.
     names: what the file calls groups of these faces, several names for a face that is in several.
     group: ``int64 [F]``, which of ``names`` a face has; None if all have the first.
     """
@@ -38,6 +43,8 @@ class Part:
     material: Material
     uv: np.ndarray | None = None
     colours: np.ndarray | None = None
+    maps: Maps = NO_MAPS
+    notes: tuple[str, ...] = ()
     names: tuple[Names, ...] = ((),)
     group: np.ndarray | None = None
 
@@ -47,7 +54,7 @@ class Part:
             vertices = self.vertices @ matrix[:3, :3].T + matrix[:3, 3]
             mirrors = np.linalg.slogdet(matrix[:3, :3])[0] < 0
         faces = self.faces[:, ::-1] if mirrors else self.faces
-        return replace(self, vertices=vertices, faces=faces)
+        return replace(self, vertices=vertices, faces=faces, maps=self.maps.turned(matrix[:3, :3]))
 
 
 def join(parts: list[Part]) -> tuple[np.ndarray, np.ndarray, Albedo]:
@@ -77,6 +84,16 @@ def join(parts: list[Part]) -> tuple[np.ndarray, np.ndarray, Albedo]:
     )
 
 
+def placed_maps(parts: list[Part]) -> tuple[PlacedMaps, ...]:
+    """The maps of all parts together, as :func:`join` puts them."""
+    vertices, faces = (np.cumsum([0] + [len(getattr(part, name)) for part in parts]) for name in ("vertices", "faces"))
+    return tuple(
+        PlacedMaps(part.maps, int(faces[i]), int(faces[i + 1]), int(vertices[i]))
+        for i, part in enumerate(parts)
+        if part.maps.present
+    )
+
+
 def groups(parts: list[Part]) -> tuple[tuple[Names, ...], np.ndarray]:
     """The distinct names of groups of faces of all parts together, and which of them each face has, ``int64 [F]``."""
     found: dict[Names, int] = {}
@@ -89,47 +106,64 @@ def groups(parts: list[Part]) -> tuple[tuple[Names, ...], np.ndarray]:
 
 def decode_alpha(data: bytes) -> np.ndarray | None:
     """How opaque an image file is, ``uint8 [H,W]``; None if all of it is. It has been decoded before."""
-    with _opened(data) as image:
+    with open_image(io.BytesIO(data)) as image:
         if not (image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info):
             return None
-        alpha = np.asarray(image.convert("RGBA"))[..., 3]
+        band = image if image.mode in ("RGBA", "LA") else image.convert("RGBA")
+        alpha = np.asarray(band.getchannel("A"))
     return None if alpha.min() == 255 else alpha
 
 
 def decode_image(data: bytes, name: str) -> np.ndarray:
-    """An image file as sRGB-encoded ``uint8 [H,W,3]``; transparency is dropped.
+    """An image file as sRGB-encoded ``uint8 [H,W,3]``, not to be written to; transparency is dropped.
 
     Args:
         data: the content of the file.
         name: of the file, for messages.
 
     Raises:
-        AssetError: the image cannot be decoded.
+        AssetError: the image cannot be decoded, or is too large.
     """
     from PIL import Image, UnidentifiedImageError
 
+    known, key = current(), sha256(data).digest()
+    if key in known.pictures:
+        return known.pictures[key]
     try:
-        with _opened(data) as image:
-            width, height = image.size
-            if width * height > LARGEST_PIXELS:
-                raise AssetError(f"the texture {name} has {width} × {height} pixels. Scale it down to 8192 × 8192.")
-            if image.mode.startswith("I"):  # 16 bits: Pillow would clip instead of scale
-                grey = (np.asarray(image).clip(0, 65535) // 257).astype(np.uint8)
-                return np.repeat(grey[:, :, None], 3, axis=2)
-            if image.mode == "P":
-                image = image.convert("RGBA")
-            return np.asarray(image.convert("RGB"))
+        with open_image(io.BytesIO(data)) as image:
+            known.require_room(*image.size, name)
+            pixels = _pixels(image)
     except Image.DecompressionBombError:
         raise AssetError(f"the texture {name} has too many pixels. Scale it down to 8192 × 8192.") from None
     except (UnidentifiedImageError, OSError, SyntaxError, ValueError, EOFError, struct.error) as error:
         raise AssetError(
             f"the texture {name} cannot be decoded ({error}). Open it in an image editor and save it as PNG or JPEG."
         ) from error
+    pixels.setflags(write=False)
+    known.pictures[key] = pixels
+    return pixels
 
 
-def _opened(data: bytes) -> ImageFile:
+def _pixels(image: Image) -> np.ndarray:
+    if image.mode.startswith("I"):  # 16 bits: Pillow would clip instead of scale
+        deep = np.asarray(image)
+        grey = np.empty(deep.shape, np.uint8)
+        for top in range(0, len(deep), _ROWS):
+            grey[top : top + _ROWS] = deep[top : top + _ROWS].clip(0, 65535) // 257
+        return np.broadcast_to(grey[:, :, None], (*grey.shape, 3))
+    if image.mode == "P":
+        image = image.convert("RGBA")
+    return np.asarray(image.convert("RGB"))
+
+
+def open_image(file: IO[bytes]) -> ImageFile:
+    """Any picture but those that Pillow hands to other programs; it is not decoded yet.
+
+    Raises:
+        PIL.Image.DecompressionBombError, PIL.UnidentifiedImageError, OSError, SyntaxError, ValueError: it cannot be.
+    """
     from PIL import Image
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # its limit is below ours
-        return Image.open(io.BytesIO(data))
+        warnings.simplefilter("ignore")  # of its limit, which is ours or below; and of what is odd in a file
+        return Image.open(file, formats=_KINDS)

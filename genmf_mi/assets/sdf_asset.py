@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from genmf_mi.assets.asset import Asset
+from genmf_mi.assets.maps import Look
 from genmf_mi.core.errors import AssetError
 from genmf_mi.mesh.measures import vertex_normals
 
@@ -88,6 +89,11 @@ class SdfAsset:
         """Whether the colour varies, so that there is detail for the relief to show."""
         return self.coloured is not None and self.coloured.textured
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was left out or mended on reading the surface with the colours."""
+        return () if self.coloured is None else self.coloured.notes
+
     def extractor(self, device: str = "cpu") -> FlexiCubes:
         """Extracts surfaces from ``phi``, ``deformation`` and ``weights`` as tensors."""
         import torch
@@ -118,6 +124,16 @@ class SdfAsset:
         if self.coloured is None:
             return np.ones((len(points), 3), np.float32)
         return self.coloured.closest_albedo(points, normals)
+
+    def look(self, points: np.ndarray, normals: np.ndarray, spacing: float = 0.0) -> Look | None:
+        """As :meth:`Asset.look`, of the surface with the colours."""
+        return None if self.coloured is None else self.coloured.look(points, normals, spacing)
+
+    def with_maps(self, *, normal: bool, occlusion: bool, emission: bool) -> SdfAsset:
+        """As :meth:`Asset.with_maps`, of the surface with the colours."""
+        if self.coloured is None or not self.coloured.maps:
+            return self
+        return replace(self, coloured=self.coloured.with_maps(normal=normal, occlusion=occlusion, emission=emission))
 
     def as_mesh(self) -> Asset:
         """The extracted surface with its colours per vertex."""

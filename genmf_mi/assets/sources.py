@@ -17,13 +17,18 @@ SDF_SUFFIX = "_sdf"
 
 
 def load(
-    source: str | Path | Asset | SdfAsset, textured: str | Path | Asset | None = None, up: str | None = None
+    source: str | Path | Asset | SdfAsset,
+    textured: str | Path | Asset | None = None,
+    up: str | None = None,
+    *,
+    files_anywhere: bool = False,
 ) -> Asset | SdfAsset:
     """The mesh, or the shape as Φ if ``source`` is a generator's file or a sample's name with ``_sdf`` appended.
 
     Args:
         textured: the mesh with the colours of a generator's file.
-        up: the axis of a mesh's file that points upwards, see :func:`genmf_mi.assets.asset.load`.
+        up: the axis of a mesh's file that points upwards; files_anywhere: whether it may name files outside of its
+            folder. See :func:`genmf_mi.assets.asset.load`.
 
     Raises:
         AssetError: as :func:`genmf_mi.assets.asset.load` and :func:`genmf_mi.assets.generators.files.load`; or
@@ -32,6 +37,8 @@ def load(
     if isinstance(source, SdfAsset | Asset):
         asset = source
     elif Path(source).suffix.lower() in files.FORMATS:
+        if isinstance(textured, str | Path):
+            textured = meshes.load(textured, files_anywhere=files_anywhere)
         return files.load(source, textured)
     elif str(source) in {name + SDF_SUFFIX for name in samples.NAMES} and not Path(source).exists():
         from genmf_mi.assets.generators import from_mesh
@@ -39,7 +46,7 @@ def load(
         mesh = meshes.load(samples.resolve(str(source).removesuffix(SDF_SUFFIX)))
         asset = replace(from_mesh.sdf_from_mesh(mesh), name=str(source))
     else:
-        asset = meshes.load(samples.resolve(source), up)
+        asset = meshes.load(samples.resolve(source), up, files_anywhere=files_anywhere)
     if textured is not None:
         raise AssetError(f"{asset.name} has its own colours: --textured is for the files of generators.")
     return asset

@@ -23,6 +23,7 @@ def convert(
     out: Path | None = None,
     samples: int = 129,
     textured: Path | None = None,
+    files_anywhere: bool = False,
     force: bool = False,
     quiet: bool = False,
 ) -> int:
@@ -35,6 +36,7 @@ def convert(
             scenes with Mitsuba's sdfgrid). NAME.npz for a mesh and NAME.glb for an SDF file if not given.
         samples: Samples of the grid per axis, for a mesh; an SDF file keeps its own.
         textured: The same object as a mesh with colours, for an SDF file that has none or coarse ones.
+        files_anywhere: Let the asset name textures, materials and buffers outside of its own folder.
         force: Replace an existing file.
         quiet: No progress, only the line at the end.
     """
@@ -48,7 +50,10 @@ def convert(
     from genmf_mi.cli.progress import TerminalProgress
 
     with TerminalProgress(quiet=quiet) as progress:
-        result = _convert(path, out, samples, textured, from_mesh, progress)
+        progress.stage("reading")
+        shape = _read(path, samples, textured, from_mesh, files_anywhere, progress)
+        progress.stage("writing")
+        result = _write(shape, out)
     print(result)
     return 0
 
@@ -74,15 +79,24 @@ def _check(path: Path, out: Path, samples: int, textured: Path | None, from_mesh
         raise OutputError(f"{out} exists already. Use --force to replace it, or another --out.")
 
 
-def _convert(path: Path, out: Path, samples: int, textured: Path | None, from_mesh: bool, progress: Progress) -> str:
-    """Read, convert and write; returns a line that says what was written."""
+def _read(
+    path: Path, samples: int, textured: Path | None, from_mesh: bool, files_anywhere: bool, progress: Progress
+) -> SdfAsset:
     from genmf_mi.assets import asset as meshes
-    from genmf_mi.assets.generators import files
+    from genmf_mi.assets import sources
     from genmf_mi.assets.generators.from_mesh import sdf_from_mesh
 
-    progress.stage("reading")
-    shape = sdf_from_mesh(meshes.load(path), samples, progress) if from_mesh else files.load(path, textured=textured)
-    progress.stage("writing")
+    if from_mesh:
+        return sdf_from_mesh(meshes.load(path, files_anywhere=files_anywhere), samples, progress)
+    shape = sources.load(path, textured, files_anywhere=files_anywhere)
+    assert not isinstance(shape, meshes.Asset)
+    return shape
+
+
+def _write(shape: SdfAsset, out: Path) -> str:
+    """Returns a line that says what was written."""
+    from genmf_mi.assets.generators import files
+
     if out.suffix.lower() in SDF:
         return f"{files.save(shape, out)}: {_summary(shape)}"
     if out.suffix.lower() in MESH:

@@ -13,6 +13,7 @@ def evaluate(
     size_mm: float = 100.0,
     scene: Path | None = None,
     score_vgg: bool = False,
+    files_anywhere: bool = False,
     json: bool = False,
 ) -> int:
     """Score a one-colour shape against the textured asset that it should look like.
@@ -23,12 +24,15 @@ def evaluate(
         size_mm: Longest side of the part.
         scene: A scene file; the sample's own or the default one if not given.
         score_vgg: Score with VGG16 LPIPS too, which takes half a minute on a small machine.
+        files_anywhere: Let the files name textures, materials and buffers outside of their own folders.
         json: Print JSON instead of a table.
     """
     from genmf_mi.pipeline import evaluation
 
     networks = ("alex", "vgg") if score_vgg else ("alex",)
-    metrics = evaluation.evaluate(original, refined, size_mm=size_mm, scene=scene, networks=networks)
+    metrics = evaluation.evaluate(
+        original, refined, size_mm=size_mm, scene=scene, networks=networks, files_anywhere=files_anywhere
+    )
     if json:
         from json import dumps
 

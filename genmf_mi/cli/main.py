@@ -8,13 +8,19 @@ from __future__ import annotations
 
 import gc
 import io
+import os
+import signal
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from importlib import import_module
 
 from genmf_mi.core.errors import GenmfError
 
-INTERRUPTED = 130
-"""Exit code after Ctrl-C, as shells have it: 128 + SIGINT."""
+INTERRUPTED, UNHEARD, TERMINATED = 130, 141, 143
+"""Exit codes after Ctrl-C, where nobody reads the output any more, and after SIGTERM, as shells have them: 128 + the
+signal."""
 
 COMMANDS = {
     "refine": ("ASSET", "refine a file or a bundled sample; writes to runs/NAME"),
@@ -49,9 +55,41 @@ def main(arguments: list[str] | None = None) -> int:
     Errors of the input or the machine end in one line on standard error and exit code 2; a traceback is a defect of
     this package.
     """
-    arguments = sys.argv[1:] if arguments is None else arguments
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")  # a terminal that lacks a character shows "?"
+    try:
+        try:
+            with _terminable():
+                return _run(sys.argv[1:] if arguments is None else arguments)
+        finally:
+            sys.stdout.flush()  # while it can still be told from other faults
+    except BrokenPipeError:
+        # Python flushes standard streams again at its end (its documentation of SIGPIPE)
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        return UNHEARD
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Have SIGTERM end the process as an exception does, so that a run keeps its state and no scratch files stay."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def end(*_: object) -> None:
+        raise SystemExit(TERMINATED)
+
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _run(arguments: list[str]) -> int:
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal that lacks a character shows "?"
     if not arguments or arguments[0] in ("-h", "--help"):
         print(USAGE)
         return 0 if arguments else 2
@@ -69,6 +107,8 @@ def main(arguments: list[str] | None = None) -> int:
     except GenmfError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
+    except BrokenPipeError:
+        raise
     except OSError as error:  # a fault of the machine, wherever it shows
         print(f"error: {error}. Check the path, its permissions and the space on the disk.", file=sys.stderr)
         return GenmfError.exit_code

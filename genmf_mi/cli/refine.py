@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -30,6 +31,8 @@ class RefineArguments:
     """The mesh that has the colours of a generator's file."""
     up: Literal["auto", "x", "-x", "y", "-y", "z", "-z"] = "auto"
     """The axis of the file that points upwards (--up=-z with the sign); auto: z for 3MF and STL, y otherwise."""
+    files_anywhere: Switch = False
+    """Let the asset name textures, materials and buffers outside of its own folder."""
     out: Path | None = None
     """Folder for the results; runs/NAME if not given."""
     preset: Literal["draft", "default", "paper"] = "default"
@@ -45,7 +48,7 @@ class RefineArguments:
     slicer: str = "auto"
     """For --print-check: auto for the one that is installed, own for ours, or a program."""
     force: Switch = False
-    """Replace the run in the folder."""
+    """Replace the run in the folder, once the new one is complete."""
     resume: Switch = False
     """Continue an interrupted run."""
     save_exr: Switch = False
@@ -59,6 +62,7 @@ class RefineArguments:
         return {
             "textured": self.textured,
             "up": None if self.up == "auto" else self.up,
+            "files_anywhere": self.files_anywhere,
             "scene": self.scene,
             "references": tuple(self.reference),
             "save_exr": self.save_exr,
@@ -127,19 +131,28 @@ def main(arguments: list[str]) -> int:
     from genmf_mi.pipeline.refinement import refine
 
     out = chosen.out or Path("runs") / Path(chosen.asset).stem
-    with TerminalProgress(quiet=chosen.quiet, shown=SHOWN) as progress:
-        result = refine(
-            chosen.asset,
-            chosen.config,
-            out=out,
-            verify=chosen.verify,
-            print_check=chosen.slicer if chosen.print_check else False,
-            force=chosen.force,
-            resume=chosen.resume,
-            progress=progress,
-            **chosen.options(),
-        )
-    print_result(result.metrics, out)
+    try:
+        with TerminalProgress(quiet=chosen.quiet, shown=SHOWN) as progress:
+            result = refine(
+                chosen.asset,
+                chosen.config,
+                out=out,
+                verify=chosen.verify,
+                print_check=chosen.slicer if chosen.print_check else False,
+                force=chosen.force,
+                resume=chosen.resume,
+                progress=progress,
+                **chosen.options(),
+            )
+    except (KeyboardInterrupt, SystemExit):
+        from genmf_mi.pipeline.run_folder import RunFolder
+
+        kept = RunFolder(out).interrupted
+        print("continue with --resume" if kept else "stopped before anything was kept: start again", file=sys.stderr)
+        raise
+    print_result(result.metrics, result.out or out)
+    if result.out != out:
+        print(f"the run in {out} stays as it is until the new one is complete")
     return 0
 
 
@@ -147,6 +160,7 @@ def print_result(metrics: dict, out: Path) -> None:
     """The contents of ``metrics.json`` as a person reads them, and the files to open first."""
     from genmf_mi.cli.tables import print_scores, print_table
     from genmf_mi.report import tables
+    from genmf_mi.report.remarks import remarks
 
     print_scores(metrics)
     if stands := tables.stands(metrics):
@@ -164,6 +178,8 @@ def print_result(metrics: dict, out: Path) -> None:
         f"{'component' if solid['bodies'] == 1 else 'components'}, "
         f"{solid['self_intersections']} self-intersections; {metrics['seconds']['total']:.0f} s"
     )
+    for remark in remarks(metrics):
+        print(f"note: {remark}")
     if metrics["interrupted"]:
         print(f"interrupted after {metrics['iterations']} iterations: the part so far. Continue with --resume.")
     print(f"print {out / 'refined.3mf'}, look at {out / 'report.html'}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from genmf_mi.core.text import printable
 from genmf_mi.report.tables import TextTable
 
 SCORES = {
@@ -19,8 +20,10 @@ def print_scores(metrics: dict) -> None:
     """The scores of all shapes in ``metrics.json``: on the standard and the unseen views, and aligned as in GenMF."""
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
-    table = Table(title=metrics.get("asset"), title_justify="left")
+    # A name with brackets is no markup
+    table = Table(title=Text(printable(str(metrics.get("asset", "")))), title_justify="left")
     table.add_column("")
     for title in SCORES:
         table.add_column(title, justify="right")

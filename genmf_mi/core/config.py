@@ -14,7 +14,7 @@ from genmf_mi.core.regions import MASK_IMAGES, MASK_MESHES, VERTEX_COLOURS, Regi
 REGIONS_FILE, MASK_FILE = "regions.json", "mask"
 """The copies of the strokes and, with the suffix of its file, of the mask in the folder of a run."""
 
-Stand = Literal["upright", "best", "upside-down", "on-back", "on-front", "on-left", "on-right"]
+Stand = Literal["upright", "auto", "best", "upside-down", "on-back", "on-front", "on-left", "on-right"]
 """Ways of standing on the print bed; the front is the side at azimuth 0, and left is to the left of who looks at it."""
 
 
@@ -76,15 +76,21 @@ class RefineConfig:
     """What the part is made with. fdm-*: filament in layers of so many mm, which dull slopes, so that the relief works
     with shadows; smooth: castings, and prints that are sanded and primed; resin: layers that cannot be seen."""
     stand: Stand = "upright"
-    """Which way up the part is printed, by the side that lies on the bed; it is looked at as it stands. best: of
-    upright and the ways in which it comes to rest by itself, the one that leaves most of the look in layers, and needs
-    few supports."""
+    """Which way up the part is printed, by the side that lies on the bed; it is looked at as it stands. auto: upright,
+    or on its most stable flat side if less than 2 % of its outline would lie on the bed. best: of upright and the ways
+    in which it comes to rest by itself, the one that leaves most of the look in layers, and needs few supports."""
     material: Literal["pla", "petg", "abs", "resin"] = "pla"
     """What the part is printed in, for the stress stage and --verify."""
     max_relief_mm: float = 1.0
     """No point of the surface moves farther than this; textures of little contrast are given less."""
     nozzle_mm: float = 0.4
     """Relief finer than the nozzle is filtered out; walls are kept at twice this thickness."""
+    normal_map: bool = True
+    """Shade the object as its normal map says, where the file has one: relief that the texture pretends."""
+    occlusion_map: bool = False
+    """Take from the ambient light what its occlusion map says. That is shade of a shape, which a print casts itself."""
+    emissive_map: bool = True
+    """Add the light that its emissive map gives off. A picture that is nowhere else is the texture in any case."""
     method: Literal["relief", "displacement"] = "relief"
     """Optimise the relief, or only offset the surface by brightness (the baseline)."""
     iterations: int = 150

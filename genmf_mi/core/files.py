@@ -109,6 +109,16 @@ def sweep(folder: str | Path, names: Sequence[str]) -> None:
 
 
 @contextmanager
+def written(path: str | Path) -> Iterator[None]:
+    """Have faults of the system while something is done to ``path`` raised as :class:`OutputError`."""
+    try:
+        yield
+    except OSError as error:
+        reason = str(error.strerror or error).rstrip(".")
+        raise OutputError(f"cannot write {path}: {reason}. Free some space or choose another --out.") from error
+
+
+@contextmanager
 def atomic(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path beside ``path`` with the same suffix; it replaces ``path`` when the block ends well.
 
@@ -120,15 +130,13 @@ def atomic(path: str | Path) -> Iterator[Path]:
     path = Path(path)
     temporary = None
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with NamedTemporaryFile(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix, delete=False) as handle:
-            temporary = Path(handle.name)
-        yield temporary
-        temporary.chmod(0o644)
-        os.replace(temporary, path)
-    except OSError as error:
-        reason = str(error.strerror or error).rstrip(".")
-        raise OutputError(f"cannot write {path}: {reason}. Free some space or choose another --out.") from error
+        with written(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with NamedTemporaryFile(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix, delete=False) as file:
+                temporary = Path(file.name)
+            yield temporary
+            temporary.chmod(0o644)
+            os.replace(temporary, path)
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
@@ -141,6 +149,7 @@ def write_bytes(path: str | Path, content: bytes) -> None:
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write ``text`` as UTF-8, whole or not at all. Raises :class:`OutputError`."""
+    """Write ``text`` as UTF-8, whole or not at all; what is no Unicode, in the names of files, becomes a question mark.
+    Raises :class:`OutputError`."""
     with atomic(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8", errors="replace")

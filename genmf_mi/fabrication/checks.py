@@ -9,6 +9,7 @@ import numpy as np
 from genmf_mi.mesh import topology
 from genmf_mi.mesh.manifold import is_solid
 from genmf_mi.mesh.measures import face_areas, signed_volume
+from genmf_mi.mesh.nearest import distance_to_surface
 from genmf_mi.mesh.self_intersections import self_intersections
 from genmf_mi.render import bridge
 
@@ -36,6 +37,39 @@ def check(vertices_mm: np.ndarray, faces: np.ndarray) -> dict[str, Any]:
         "size_mm": [float(x) for x in np.ptp(vertices_mm, axis=0)],
         "min_thickness_mm": min_thickness(vertices_mm, faces),
     }
+
+
+def pieces(vertices_mm: np.ndarray, faces: np.ndarray) -> list[dict[str, Any]]:
+    """What does not hang together with the largest component, the largest piece first.
+
+    Args:
+        vertices_mm: ``[V,3]`` on the print bed, z up. faces: ``[F,3]``.
+
+    Returns:
+        For each ``size_mm`` (three extents), ``centre_mm`` (from the middle of the part: to the right, to the back,
+        upwards from the bed), ``above_bed_mm`` (its lowest point) and ``gap_mm`` to the largest component.
+    """
+    label = topology.components(faces)
+    if label.max() == 0:
+        return []
+    sizes = [abs(float(signed_volume(vertices_mm, faces[label == number]))) for number in range(label.max() + 1)]
+    main, *others = np.argsort(sizes)[::-1]
+    low, high = vertices_mm[faces].min(axis=(0, 1)), vertices_mm[faces].max(axis=(0, 1))
+    middle = np.array([*((low + high) / 2)[:2], low[2]])
+    body = topology.compact(vertices_mm, faces[label == main])
+    found: list[dict[str, Any]] = []
+    for number in others:
+        own = vertices_mm[np.unique(faces[label == number])]
+        bottom, top = own.min(axis=0), own.max(axis=0)
+        found.append(
+            {
+                "size_mm": [float(x) for x in top - bottom],
+                "centre_mm": [float(x) for x in (bottom + top) / 2 - middle],
+                "above_bed_mm": float(bottom[2] - low[2]),
+                "gap_mm": float(distance_to_surface(own, *body).min()),
+            }
+        )
+    return found
 
 
 def min_thickness(vertices_mm: np.ndarray, faces: np.ndarray, samples: int = 20_000) -> float:

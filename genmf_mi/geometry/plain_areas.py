@@ -38,15 +38,19 @@ def brightness_range(points: np.ndarray, brightness: np.ndarray, radius: float) 
 def is_plain(points_mm: np.ndarray, brightness: np.ndarray) -> np.ndarray:
     """``bool [V]``: whether there is no texture within :data:`RADIUS_MM` of ``points_mm [V,3]``.
 
-    brightness: ``[V]``, sRGB-encoded.
+    brightness: ``[V]``, sRGB-encoded; or ``[V,K]``, several things that are seen as changes of it.
     """
-    return brightness_range(points_mm, brightness, RADIUS_MM) <= PLAIN_CONTRAST
+    each = brightness[:, None] if brightness.ndim == 1 else brightness
+    ranges = [brightness_range(points_mm, signal, RADIUS_MM) for signal in each.T]
+    return np.max(ranges, axis=0) <= PLAIN_CONTRAST
 
 
 def relief_cap(points_mm: np.ndarray, brightness: np.ndarray, cap_mm: float) -> np.ndarray:
     """``[V]`` mm: ``cap_mm`` on textured areas, at most :data:`PLAIN_CAP_MM` on plain ones, a ramp between them.
 
     An object that is plain all over keeps its cap: what stands out of it is not its paint.
+
+    brightness: as for :func:`is_plain`.
     """
     plain = is_plain(points_mm, brightness)
     if plain.all() or not plain.any():

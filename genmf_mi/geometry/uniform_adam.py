@@ -79,11 +79,24 @@ class UniformAdam:
         return {"moments": [vars(moments) for moments in self._moments]}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue from a copy of a :meth:`state_dict`, on the devices of the parameters."""
-        self._moments = [
-            Moments(m["first"].to(p.device, copy=True), m["second"].to(p.device, copy=True), m["step"], m["scale"])
-            for p, m in zip(self._parameters, state["moments"], strict=True)
-        ]
+        """Continue from a copy of a :meth:`state_dict`, on the devices of the parameters.
+
+        Raises:
+            ValueError: it is of other parameters, or no state.
+        """
+        try:
+            moments = [
+                Moments(m["first"].to(p.device, copy=True), m["second"].to(p.device, copy=True), m["step"], m["scale"])
+                for p, m in zip(self._parameters, state["moments"], strict=True)
+            ]
+        except (AttributeError, KeyError, TypeError, RuntimeError) as error:
+            raise ValueError("no state of this optimiser") from error
+        for p, m in zip(self._parameters, moments, strict=True):
+            sound = m.first.shape == m.second.shape == p.shape and m.first.dtype == m.second.dtype == p.dtype
+            counted = isinstance(m.step, int) and m.step >= 0 and isinstance(m.scale, float)
+            if not (sound and counted and torch.isfinite(m.first).all() and torch.isfinite(m.second).all()):
+                raise ValueError("no state of these parameters")
+        self._moments = moments
 
 
 def percentile(x: Tensor, share: float) -> Tensor:

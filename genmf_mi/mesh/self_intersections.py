@@ -6,16 +6,53 @@ from fractions import Fraction
 
 import numpy as np
 
-from genmf_mi.mesh import meshlab
+from genmf_mi.mesh import meshlab, topology
 
 _ERROR_BOUND = 1e-15
 """Relative rounding error of a 3×3 determinant of differences, a little above 7.8e-16 (Shewchuk 1997, orient3d)."""
+TANGLED = 20
+"""Faces that a face of garbage crosses, more than that."""
+_FEWEST = 100
+"""Faces below which a search is short whatever they are."""
+_SAMPLES, _LOOKED_AT = 64, 200
+"""Faces by which is judged, and faces near each of them."""
 
 
 def self_intersections(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Indices ``int64 [K]`` of the faces of ``[F,3]`` that properly intersect another face, sorted."""
     candidates = meshlab.self_intersection_candidates(vertices, faces)
     return properly_intersecting(np.asarray(vertices, dtype=np.float64), np.asarray(faces), candidates)
+
+
+def is_tangled(vertices: np.ndarray, faces: np.ndarray) -> bool:
+    """Whether the faces ``[F,3]`` cross one another in so many places that they are no surface, but garbage.
+
+    Judged by a few faces, spread over all of them: each crosses more than :data:`TANGLED` faces of its own component,
+    or of open ones. Closed bodies may overlap as they like.
+    """
+    if len(faces) < _FEWEST:
+        return False
+    corners, piece = vertices[faces], topology.components(faces)
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    is_open = np.isin(piece, piece[topology.boundary_faces(faces)])
+    first: list[np.ndarray] = []
+    second: list[np.ndarray] = []
+    near = 0
+    for face in _spread(len(faces), _SAMPLES):
+        other = np.flatnonzero(((low <= high[face]) & (high >= low[face])).all(axis=1))
+        other = other[(piece[other] == piece[face]) | is_open[other]]
+        near += len(other)
+        second.append(other[_spread(len(other), _LOOKED_AT)])
+        first.append(np.full(len(second[-1]), face))
+    if near <= TANGLED * len(first):
+        return False
+    crossing = _intersecting(vertices, faces, np.concatenate(first), np.concatenate(second)).mean()
+    return bool(crossing * near > TANGLED * len(first))
+
+
+def _spread(count: int, most: int) -> np.ndarray:
+    """Indices below ``count``, at most ``most`` of them, evenly spread."""
+    return np.unique(np.linspace(0, count - 1, min(most, count)).astype(np.int64))
 
 
 def properly_intersecting(vertices: np.ndarray, faces: np.ndarray, candidates: np.ndarray) -> np.ndarray:
@@ -26,8 +63,16 @@ def properly_intersecting(vertices: np.ndarray, faces: np.ndarray, candidates: n
     """
     pairs = _overlapping_boxes(vertices[faces[candidates]])
     first, second = candidates[pairs[:, 0]], candidates[pairs[:, 1]]
+    intersects = _intersecting(vertices, faces, first, second)
+    return np.unique(np.concatenate([first[intersects], second[intersects]]))
+
+
+def _intersecting(vertices: np.ndarray, faces: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Whether the faces ``first [N]`` properly intersect the faces ``second [N]``, ``[N]``."""
+    result = np.zeros(len(first), dtype=bool)
     shared = (faces[first][:, :, None] == faces[second][:, None, :]).any(axis=2).sum(axis=1)
-    first, second = first[shared < 2], second[shared < 2]
+    apart = np.flatnonzero(shared < 2)
+    first, second = first[apart], second[apart]
     intersects = np.zeros(len(first), dtype=bool)
     for one, other in ((first, second), (second, first)):
         for corner in range(3):
@@ -36,7 +81,8 @@ def properly_intersecting(vertices: np.ndarray, faces: np.ndarray, candidates: n
             rows = np.flatnonzero(~intersects & ~touching)
             corners = vertices[faces[other[rows]]]
             intersects[rows] = _pierces(vertices[start[rows]], vertices[end[rows]], corners)
-    return np.unique(np.concatenate([first[intersects], second[intersects]]))
+    result[apart] = intersects
+    return result
 
 
 def _pierces(start: np.ndarray, end: np.ndarray, triangles: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from genmf_mi.mesh.manifold import is_solid, to_arrays, to_manifold
 from genmf_mi.mesh.nearest import closest_points, distance_to_surface
 from genmf_mi.mesh.refine import halve_edges
 from genmf_mi.mesh.remesh import uniform
-from genmf_mi.mesh.self_intersections import self_intersections
+from genmf_mi.mesh.self_intersections import is_tangled, self_intersections
 from genmf_mi.mesh.winding import winding_number
 
 _WELD = 1e-6
@@ -32,6 +32,12 @@ _LOST = 0.03
 
 HALVED_SHARE = 0.65
 """Of the face budget of :func:`refine`, for the first halving; the rest is for the second."""
+
+_MOST_AT_AN_EDGE = 200
+"""Triangles; two are right, and some dozens may be meant."""
+
+_MOST_CAVITIES = 200
+"""With more between overlapping components these are shreds, whose union is as jagged as they are: it is rebuilt."""
 
 _INVENTED = 0.2
 """Share of the area of a rebuilt solid that may lie where the asset has no surface."""
@@ -77,6 +83,7 @@ def solidify(name: str, vertices: np.ndarray, faces: np.ndarray) -> Solid:
     faces = topology.without_duplicates(faces)
     if len(faces) == 0:
         raise SolidError(f"{name} encloses no volume: all its faces are collapsed. Export it again.")
+    _require_surface(name, vertices, faces)
     faces, turned = topology.oriented(vertices, faces)
     vertices, faces = topology.compact(vertices, faces)
     boundary_edges, nonmanifold_edges = topology.boundary_and_nonmanifold_edges(faces)
@@ -113,6 +120,16 @@ def solidify(name: str, vertices: np.ndarray, faces: np.ndarray) -> Solid:
         "volume": volume,
     }
     return Solid(vertices, faces, report)
+
+
+def _require_surface(name: str, vertices: np.ndarray, faces: np.ndarray) -> None:
+    """Raise :class:`SolidError` for garbage, in which searches that are short for surfaces would not end."""
+    if (crowd := topology.most_crowded_edge(faces)) > _MOST_AT_AN_EDGE:
+        raise SolidError(f"{name} is damaged: {crowd} triangles meet at one edge. Repair or export it again.")
+    if is_tangled(vertices, faces):
+        raise SolidError(
+            f"{name} is damaged: nearly every triangle cuts through dozens of others. Repair or export it again."
+        )
 
 
 def remesh(solid: Solid, edge_length: float, max_faces: int = 200_000) -> Solid:
@@ -194,7 +211,7 @@ def _repaired(name: str, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.nd
     if pieces and area[stray].sum() <= _STRAY * area.sum():
         changes["stray_faces_dropped"] = int(stray.sum())
         new_vertices, new_faces, united = _united(pieces)
-        if is_solid(new_vertices, new_faces):
+        if united.get("cavities_filled", 0) <= _MOST_CAVITIES and is_solid(new_vertices, new_faces):
             return new_vertices, new_faces, changes | united
     new_vertices, new_faces, united = _rebuilt(name, vertices, faces)
     return new_vertices, new_faces, changes | {"stray_faces_dropped": 0, "rebuilt": True} | united

@@ -13,12 +13,20 @@ from scipy.spatial import KDTree
 
 from genmf_mi.mesh import measures
 
+_CROWDED = 100
+"""Neighbours within the tolerance of a weld, on average, above which those of one cell are taken for one first."""
+
 
 def weld(vertices: np.ndarray, faces: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
     """Merge vertices within ``tolerance`` (in their unit) and remove the unused; faces ``[F,3]`` keep their order."""
     used, faces = np.unique(faces, return_inverse=True)
     unique, inverse = np.unique(vertices[used], axis=0, return_inverse=True)
-    pairs = KDTree(unique).query_pairs(tolerance, output_type="ndarray")
+    tree = KDTree(unique)
+    if tree.count_neighbors(tree, tolerance) > _CROWDED * len(unique):  # pairs that no memory would hold
+        _, first, cell = np.unique(np.floor(unique / tolerance), axis=0, return_index=True, return_inverse=True)
+        unique, inverse = unique[first], cell.ravel()[inverse.ravel()]
+        tree = KDTree(unique)
+    pairs = tree.query_pairs(tolerance, output_type="ndarray")
     graph = coo_array((np.ones(len(pairs), dtype=np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(unique),) * 2)
     count, label = connected_components(graph, directed=False)
     first = np.full(count, len(unique))
@@ -51,6 +59,11 @@ def boundary_and_nonmanifold_edges(faces: np.ndarray) -> tuple[int, int]:
     return int((counts == 1).sum()), int((counts > 2).sum())
 
 
+def most_crowded_edge(faces: np.ndarray) -> int:
+    """The most faces that meet at one edge."""
+    return int(_edge_ids(faces)[1].max(initial=0))
+
+
 def is_closed(faces: np.ndarray) -> bool:
     """Whether every edge has exactly two faces that run along it in opposite directions."""
     ends = halfedges(faces)
@@ -60,8 +73,21 @@ def is_closed(faces: np.ndarray) -> bool:
 
 
 def components(faces: np.ndarray) -> np.ndarray:
-    """Component number ``[F]`` of every face, from 0; faces belong together when they share an edge."""
-    return np.asarray(igl.facet_components(np.ascontiguousarray(faces))[1])
+    """Component number ``[F]`` of every face, from 0 in the order of the faces; faces belong together when they share
+    an edge.
+
+    (``igl.facet_components`` lists all pairs of faces at an edge, which in damaged files are millions.)
+    """
+    ids, counts = _edge_ids(faces)
+    edges = ids.reshape(-1, 3) + len(faces)
+    size = len(faces) + len(counts)
+    rows = np.repeat(np.arange(len(faces)), 3)
+    graph = coo_array((np.ones(len(rows), dtype=np.int8), (rows, edges.ravel())), shape=(size, size))
+    _, label = connected_components(graph, directed=False)
+    _, first, number = np.unique(label[: len(faces)], return_index=True, return_inverse=True)
+    rank = np.empty(len(first), dtype=np.int64)
+    rank[np.argsort(first)] = np.arange(len(first))
+    return rank[number]
 
 
 def without_duplicates(faces: np.ndarray) -> np.ndarray:

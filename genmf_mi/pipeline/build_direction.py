@@ -7,35 +7,28 @@ a print depend on the build direction. The object is looked at as it stands on a
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
 
-from genmf_mi.core.frame import UPRIGHT, Up
+from genmf_mi.core.frame import Up
 from genmf_mi.core.printer import Printer
 from genmf_mi.losses.alignment import Alignment
 from genmf_mi.mesh.measures import face_areas
 from genmf_mi.pipeline.evaluator import Evaluator
-from genmf_mi.pipeline.problem import DIRECTIONS, RefinementProblem
+from genmf_mi.pipeline.poses import candidates
+from genmf_mi.pipeline.problem import RefinementProblem
 from genmf_mi.printing.printability import overhang_mm2
 
-LIKELIEST, LIKELY = 5, 0.03
-"""So many of the ways in which the part comes to rest when it is dropped at random are tried, each at least so
-likely."""
-SAME = float(np.cos(np.radians(10.0)))
-"""Cosine of the angle within which two ways of standing are one."""
 SUPPORT_PRICE = 1.0
 """Of supports under all of the surface, in units of the LPIPS of the untouched part."""
-_CELLS = 50
-"""Of the grid to which points are rounded before their hull is taken, which has thousands of faces otherwise."""
 
 
 @dataclass(frozen=True)
 class Candidate:
     """A way of standing, and what speaks for it.
 
-    name: of :data:`genmf_mi.pipeline.problem.DIRECTIONS`, or ``tilted``.
+    name: of :data:`genmf_mi.pipeline.poses.DIRECTIONS`, or ``tilted``.
     lpips: of the displacement by brightness, predicted as printed; None without layers that can be seen.
     overhang_share: of the surface. height_mm: of the part on the bed.
     cost: what decides, see :func:`choose`; None where the bed of the printer is too small.
@@ -72,31 +65,6 @@ def choose(problem: RefinementProblem, evaluator: Evaluator, heights: np.ndarray
         cost = SUPPORT_PRICE * share + (lpips / unit if lpips is not None else 0.0)
         found.append(Candidate(up, name, lpips, share, height, cost if printer.fits((width, depth, height)) else None))
     return sorted(found, key=lambda candidate: np.inf if candidate.cost is None else candidate.cost)
-
-
-def candidates(vertices: np.ndarray) -> list[tuple[str, Up]]:
-    """``upright`` first, then the likeliest ways in which a body of these points ``[V,3]`` comes to rest."""
-    from trimesh import PointCloud, poses
-
-    untyped: Any = poses
-    cell = np.ptp(vertices, axis=0).max() / _CELLS
-    points = np.unique((vertices / cell).astype(np.int64), axis=0) * cell
-    found: tuple[np.ndarray, np.ndarray] = untyped.compute_stable_poses(PointCloud(points).convex_hull)
-    ups = [np.array(UPRIGHT)]
-    for pose, likelihood in sorted(zip(*found, strict=True), key=lambda each: -each[1]):
-        up = pose[2, :3]
-        if likelihood >= LIKELY and len(ups) <= LIKELIEST and all(up @ other < SAME for other in ups):
-            ups.append(up)
-    return [_named(up) for up in ups]
-
-
-def _named(up: np.ndarray) -> tuple[str, Up]:
-    """The direction of the six that ``up`` is within ten degrees of, or the same as ``tilted``."""
-    for name, direction in DIRECTIONS.items():
-        if up @ np.array(direction) > SAME:
-            return name, direction
-    x, y, z = (float(k) for k in up / np.linalg.norm(up))
-    return "tilted", (x, y, z)
 
 
 @torch.no_grad()

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from genmf_mi.assets.asset import Asset
-from genmf_mi.core.colour import to_srgb, value
 from genmf_mi.mesh.measures import face_areas, face_normals
+from genmf_mi.pipeline.surface import seen_at, signals
 
 DETAIL_MM = 8.0
 """Longest wavelength that counts as detail on the printed part; what is broader is shape or tone."""
@@ -22,17 +22,14 @@ SOFT = 0.1
 """Share of the textured area with crisp edges up to which a texture counts as soft."""
 
 
-def local_contrast(brightness: np.ndarray, broad: np.ndarray) -> float:
-    """How much detail there is: the 99th percentile of | brightness − its low-frequency component |.
+def local_contrast(detail: np.ndarray) -> float:
+    """How much detail there is: the 99th percentile of | brightness − its low-frequency component |, ``detail [V]``.
 
     A soft blush or the speckle of a lemon has 0.05, painted porcelain 0.12, spots and windows 0.3 to 0.5. Relief in
     proportion keeps what is faint in colour faint in shape, which mean–variance alignment alone would amplify. Eyes are
     less than a hundredth of a figure: what is :data:`STRONG` counts from a thousandth on.
-
-    Args:
-        brightness: ``[V]``, sRGB-encoded. broad: ``[V]``, its low-frequency component.
     """
-    most, small = np.percentile(np.abs(brightness - broad), [99, 99.9])
+    most, small = np.percentile(detail, [99, 99.9])
     return float(small if small >= STRONG else most)
 
 
@@ -47,7 +44,8 @@ def span(brightness: np.ndarray) -> tuple[float, float]:
 
 
 def local_range(asset: Asset, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """``[F]``: the range of the encoded brightness over each face and its neighbours, 0 where it is :data:`FAINT`.
+    """``[F]``: the range of the encoded brightness over each face and its neighbours, 0 where it is :data:`FAINT`; of a
+    normal map, that of the shading that it makes.
 
     It is looked up at the middles of faces and edges too: strokes are thinner than the triangles that they call for.
 
@@ -56,12 +54,15 @@ def local_range(asset: Asset, vertices: np.ndarray, faces: np.ndarray) -> np.nda
     corners = vertices[faces]
     points = np.concatenate([corners, (corners + np.roll(corners, -1, axis=1)) / 2, corners.mean(axis=1)[:, None]], 1)
     normals = np.repeat(face_normals(vertices, faces), points.shape[1], axis=0)
-    brightness = to_srgb(value(asset.closest_albedo(points.reshape(-1, 3), normals))).reshape(points.shape[:2])
-    low, high = np.full(len(vertices), np.inf), np.full(len(vertices), -np.inf)
-    for corner in faces.T:
-        np.minimum.at(low, corner, brightness.min(axis=1))
-        np.maximum.at(high, corner, brightness.max(axis=1))
-    contrast = high[faces].max(axis=1) - low[faces].min(axis=1)
+    spacing = float(np.sqrt(face_areas(vertices, faces).mean()) / 2)
+    seen = signals(*seen_at(asset, points.reshape(-1, 3), normals, spacing))
+    contrast = np.zeros(len(faces))
+    for signal in seen.reshape(*points.shape[:2], -1).transpose(2, 0, 1):
+        low, high = np.full(len(vertices), np.inf), np.full(len(vertices), -np.inf)
+        for corner in faces.T:
+            np.minimum.at(low, corner, signal.min(axis=1))
+            np.maximum.at(high, corner, signal.max(axis=1))
+        contrast = np.maximum(contrast, high[faces].max(axis=1) - low[faces].min(axis=1))
     return np.where(contrast > FAINT, contrast, 0.0)
 
 

@@ -36,6 +36,7 @@ def evaluate(
     size_mm: float = 100.0,
     scene: str | Path | None = None,
     networks: tuple[Network, ...] = ("alex",),
+    files_anywhere: bool = False,
 ) -> dict[str, Any]:
     """Score a one-colour shape against a textured asset.
 
@@ -45,6 +46,7 @@ def evaluate(
         size_mm: longest side of the part.
         scene: scene file; the sample's own or ``default.xml`` if None.
         networks: LPIPS networks to score with.
+        files_anywhere: let the files name others outside of their own folders, see :func:`genmf_mi.load`.
 
     Returns:
         ``asset``; ``before``, ``after`` and ``paper_alignment`` as in :meth:`Evaluator.verdicts`; and the same under
@@ -55,7 +57,10 @@ def evaluate(
     """
     variant.use("auto")
     lpips_weights.require(*networks)
-    textured, shape = (a if isinstance(a, Asset) else load(samples.resolve(a)) for a in (original, refined))
+    textured, shape = (
+        a if isinstance(a, Asset) else load(samples.resolve(a), files_anywhere=files_anywhere)
+        for a in (original, refined)
+    )
     xml = Path(scene) if scene else scene_file.find(textured.name)
     with tempfile.TemporaryDirectory(prefix="genmf-") as folder:
         problem = build_problem(textured, RefineConfig(size_mm=size_mm), xml, Path(folder))

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from genmf_mi.core import memory
 from genmf_mi.core.config import RefineConfig
-from genmf_mi.core.errors import ConfigError, OptimisationError
+from genmf_mi.core.errors import ConfigError, OptimisationError, OutputError
 from genmf_mi.core.progress import Progress
 from genmf_mi.geometry.parameterization import Geometry, Parameterization
 from genmf_mi.geometry.uniform_adam import UniformAdam
@@ -75,7 +75,11 @@ class Optimisation:
         return Checkpoint.of(self.iteration, self.parameterization.parameters, self.optimiser, stress, self.stage_one)
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Return to a :meth:`checkpoint`. Raises :class:`ConfigError` for that of another mesh."""
+        """Return to a :meth:`checkpoint`.
+
+        Raises:
+            ConfigError: it is of another mesh. OutputError: it is damaged.
+        """
         parameters = self.parameterization.parameters
         if [p.shape for p in parameters] != [p.shape for p in checkpoint.parameters]:
             raise ConfigError(
@@ -84,9 +88,12 @@ class Optimisation:
         with torch.no_grad():
             for parameter, value in zip(parameters, checkpoint.parameters, strict=True):
                 parameter.copy_(value)
-        self.optimiser.load_state_dict(checkpoint.optimiser)
-        if self.stress:
-            self.stress.load_state_dict(checkpoint.stress, self.parameterization)
+        try:
+            self.optimiser.load_state_dict(checkpoint.optimiser)
+            if self.stress:
+                self.stress.load_state_dict(checkpoint.stress, self.parameterization)
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise OutputError("the checkpoint is damaged. Start again with --force.") from error
         self.iteration, self.stage_one = checkpoint.iteration, checkpoint.stage_one
         del self.history[self.iteration :]
 
@@ -103,7 +110,7 @@ def optimise(
 
     show: is given the vertices and the faces before the first iteration and at every checkpoint.
 
-    A KeyboardInterrupt ends the optimisation with the last complete iteration.
+    A KeyboardInterrupt ends the optimisation with the last complete iteration; a SystemExit saves that and goes on.
 
     Returns:
         Whether it was interrupted.
@@ -128,6 +135,10 @@ def optimise(
         interrupted = True
         optimisation.restore(checkpoint)  # it may have come in the middle of a step
         progress.stage("interrupted: finishing with the relief so far")
+    except SystemExit:  # the process was told to end (SIGTERM)
+        if run is not None:
+            run.save(checkpoint, optimisation.history[: checkpoint.iteration])
+        raise
     if run is not None:
         run.save(checkpoint, optimisation.history)
     return interrupted

@@ -9,7 +9,7 @@ from PIL.Image import Image
 from torch import Tensor
 
 from genmf_mi.pipeline.evaluator import SEED, Evaluator
-from genmf_mi.pipeline.problem import InitialSurface
+from genmf_mi.pipeline.surface import InitialSurface
 from genmf_mi.render import bridge
 from genmf_mi.report.pictures import compose, plastic, write_row
 

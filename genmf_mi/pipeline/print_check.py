@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -67,12 +67,13 @@ def printer_named(name: str) -> Printer:
 
 @dataclass(frozen=True)
 class PartToPrint:
-    """A file with a part in the pose of the textured asset, and how it is printed."""
+    """A file with a part in the pose of the textured asset, how it is printed, and what belongs to its target."""
 
     path: Path
     printer: str = DEFAULT_PRINTER
     size_mm: float = 100.0
     up: Up = UPRIGHT
+    target: RefineConfig = field(default_factory=RefineConfig)
 
     @classmethod
     def of(cls, part: str | Path) -> PartToPrint:
@@ -93,7 +94,13 @@ class PartToPrint:
         x, y, z = metrics.get("stand", {}).get("up", UPRIGHT)
         layered = printer in PRINTERS and PRINTERS[printer].layered
         chosen = printer if layered else DEFAULT_PRINTER
-        return cls(path / COLOURED_GLB, chosen, float(settings["size_mm"]), (x, y, z))
+        target = replace(
+            RefineConfig(),
+            normal_map=bool(settings.get("normal_map", RefineConfig.normal_map)),
+            occlusion_map=bool(settings.get("occlusion_map", RefineConfig.occlusion_map)),
+            emissive_map=bool(settings.get("emissive_map", RefineConfig.emissive_map)),
+        )
+        return cls(path / COLOURED_GLB, chosen, float(settings["size_mm"]), (x, y, z), target)
 
 
 def check_shapes(
@@ -179,7 +186,7 @@ def print_check(
         asset = textured if isinstance(textured, Asset) else load(samples.resolve(textured))
         xml = Path(scene) if scene else scene_file.find(asset.name)
         progress.stage("preparing the textured object")
-        config = RefineConfig(size_mm=size_mm)
+        config = replace(told.target, size_mm=size_mm)
         problem = standing(build_problem(asset, config, xml, Path(folder)), told.up, config)
         surface = problem.surface
         shapes = {"before": (surface.vertices, surface.faces), "after": (vertices, faces)}

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 
 from genmf_mi.assets.asset import Asset
+from genmf_mi.assets.maps import Look
 from genmf_mi.assets.sdf_asset import SdfAsset
-from genmf_mi.core.colour import to_srgb, value
 from genmf_mi.core.config import RefineConfig
 from genmf_mi.core.errors import AssetError, ConfigError, SolidError
-from genmf_mi.core.frame import UPRIGHT, Frame, Up
+from genmf_mi.core.frame import Frame, Up
 from genmf_mi.core.printer import PRINTERS
 from genmf_mi.core.progress import Progress
 from genmf_mi.core.timer import Timer
-from genmf_mi.geometry.displacement_bounds import DisplacementBounds, displacement_bounds
+from genmf_mi.geometry.displacement_bounds import DisplacementBounds, base, displacement_bounds
 from genmf_mi.geometry.low_pass import LowPass
 from genmf_mi.geometry.mesh import MeshParameterization
 from genmf_mi.geometry.parameterization import Parameterization
@@ -29,8 +29,10 @@ from genmf_mi.mesh.measures import signed_volume, vertex_normals
 from genmf_mi.mesh.remesh import shortest_edge
 from genmf_mi.pipeline import evaluator
 from genmf_mi.pipeline.detail import DETAIL_MM, FULL_CONTRAST, SOFT, crispness, local_contrast, local_range
+from genmf_mi.pipeline.poses import Pose, named, pose
 from genmf_mi.pipeline.region_images import RegionImages
 from genmf_mi.pipeline.regions import AssetRegions, RegionField
+from genmf_mi.pipeline.surface import InitialSurface, initial_surface
 from genmf_mi.render import bridge, target
 from genmf_mi.render import scene as scenes
 from genmf_mi.render.scene import RenderSettings, Scene
@@ -40,38 +42,11 @@ from genmf_mi.sdf.grid import without_small_components
 COARSE_SHARE, COARSEST_MM = 0.35, 1.3
 """Of the face budget, for the triangles that are everywhere where the texture has crisp edges; and how long their edges
 may be: with longer ones too much is lost beside the crispest places."""
-DIRECTIONS: dict[str, Up] = {
-    "upright": UPRIGHT,
-    "upside-down": (0.0, -1.0, 0.0),
-    "on-back": (0.0, 0.0, 1.0),
-    "on-front": (0.0, 0.0, -1.0),
-    "on-left": (1.0, 0.0, 0.0),
-    "on-right": (-1.0, 0.0, 0.0),
-}
-"""What points away from the print bed, by the way of standing."""
 ONE_BRIGHTNESS = 0.01
 """Range of the encoded albedo below which the object has one brightness."""
 FIELD_SMOOTHING = 11.0
 """λ of a field over that of a mesh whose edges are as long as a cell; a field has four neighbours instead of six, and
 the surface out of it bears no finer relief than its cells."""
-
-
-@dataclass(frozen=True)
-class InitialSurface:
-    """The surface before refinement, in the normalised frame.
-
-    vertices, normals: ``float64 [V,3]``, the normals of unit length. faces: ``int64 [F,3]``. rgb: ``[V,3]``, linear.
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    normals: np.ndarray
-    rgb: np.ndarray
-
-    @property
-    def brightness(self) -> np.ndarray:
-        """HSV value of the albedo per vertex ``[V]``, sRGB-encoded."""
-        return to_srgb(value(self.rgb))
 
 
 @dataclass(frozen=True)
@@ -91,14 +66,15 @@ class ScenePair:
 class RefinementProblem:
     """The initial part and what it is compared with.
 
-    asset: as it was given; an :class:`SdfAsset` without small components.
+    asset: as it was given, with the maps that are wanted; an :class:`SdfAsset` without small components.
     bounds: of the displacement of each vertex, normalised units; plain areas are held.
     loose_bounds: the same without regard to what is plain, for the displacement by brightness.
     training, evaluation: scenes at the resolutions of the optimisation and of the scores; they share the reference,
         which is resized for either.
-    low_pass: of :data:`DETAIL_MM` on the surface, on the CPU. broad: ``[V]``, what it keeps of the brightness.
-    contrast: :func:`local_contrast` of the brightness; cap_mm: the cap that it permits.
-    report: what was done to make the part solid.
+    low_pass: of :data:`DETAIL_MM` on the surface, on the CPU. detail: ``[V]``, by how much what is seen differs from
+        its low-frequency component.
+    contrast: :func:`local_contrast` of that where there may be relief; cap_mm: the cap that it permits.
+    report: what was done to make the part solid. pose: how it stands on the bed.
     regions: what is asked for at each vertex, and images of that; None where nothing is.
     """
 
@@ -110,10 +86,11 @@ class RefinementProblem:
     training: ScenePair
     evaluation: ScenePair
     low_pass: LowPass
-    broad: np.ndarray
+    detail: np.ndarray
     contrast: float
     cap_mm: float
     report: dict[str, Any]
+    pose: Pose
     regions: RegionField | None = None
     region_images: RegionImages | None = None
 
@@ -150,11 +127,16 @@ def build_problem(
         SceneError: the scene file cannot be used.
     """
     progress, timer = progress or Progress(), timer or Timer()
+    given = asset
+    asset = asset.with_maps(normal=config.normal_map, occlusion=config.occlusion_map, emission=config.emissive_map)
     if not asset.textured and not references:
+        switches = " but in maps that are left out (--normal-map, --occlusion-map, --emissive-map)" * given.textured
         raise AssetError(
-            f"{asset.name} has no texture and no colours, so there is nothing for the relief to show. "
+            f"{asset.name} has no texture and no colours{switches}, so there is nothing for the relief to show. "
             "Give pictures of it with --reference image.png@azimuth,elevation."
         )
+    for note in asset.notes:
+        progress.warn(f"of {asset.name}, {note}")
     pictures = tuple(target.read_picture(text) for text in references)
     _require_usable(xml, folder)
     if isinstance(asset, SdfAsset):
@@ -170,23 +152,23 @@ def build_problem(
         timer.lap("remesh")
 
     progress.stage("building scenes")
-    # Where the best way of standing is asked for, it is looked for from upright
-    frame = Frame.of(body.vertices, config.size_mm).standing(DIRECTIONS.get(config.stand, UPRIGHT))
+    frame = Frame.of(body.vertices, config.size_mm)
+    posed = pose(config.stand, frame.normalise(body.vertices), body.faces)
+    frame = frame.standing(posed.up)
     surface, training, evaluation = build_scenes(asset, body, frame, config, xml, folder, pictures)
     field = None if regions is None else regions.on(body.vertices, surface.faces, surface.normals, frame)
     if field is not None and not field.relief.any():
         raise ConfigError("all of the surface is to stay flat, so there is no relief to make. Leave some of it free.")
     low_pass = LowPass(surface.vertices, surface.faces, DETAIL_MM / frame.mm_per_unit)
-    broad = low_pass.of(surface.brightness)
-    free = slice(None) if field is None else field.relief
-    contrast = local_contrast(surface.brightness[free], broad[free])
+    detail = surface.contrast(low_pass)
+    contrast = local_contrast(detail if field is None else detail[field.relief])
     cap_mm = config.max_relief_mm * (1.0 if references else min(1.0, contrast / FULL_CONTRAST))
     bounds, loose = bounds_of(surface, frame, training, cap_mm, config.nozzle_mm, field)
     images = None if field is None else RegionImages(training.reference.scene, surface.faces, field)
     timer.lap("scenes")
     return RefinementProblem(
-        asset, frame, surface, bounds, loose, training, evaluation, low_pass, broad, contrast, cap_mm, body.report,
-        field, images,
+        asset, frame, surface, bounds, loose, training, evaluation, low_pass, detail, contrast, cap_mm, body.report,
+        posed, field, images,
     )  # fmt: skip
 
 
@@ -212,7 +194,7 @@ def bounds_of(
     if training.reference.pictures:
         return loose, loose
     points = surface.vertices * frame.mm_per_unit
-    return loose.capped(share * relief_cap(points, surface.brightness, cap_mm) / frame.mm_per_unit), loose
+    return loose.capped(share * relief_cap(points, surface.signals, cap_mm) / frame.mm_per_unit), loose
 
 
 def standing(problem: RefinementProblem, up: Up, config: RefineConfig) -> RefinementProblem:
@@ -224,7 +206,9 @@ def standing(problem: RefinementProblem, up: Up, config: RefineConfig) -> Refine
     bounds, loose = bounds_of(
         problem.surface, frame, problem.training, problem.cap_mm, config.nozzle_mm, problem.regions
     )
-    return replace(problem, frame=frame, bounds=bounds, loose_bounds=loose)
+    unsteady = len(base(problem.surface.vertices, problem.surface.faces, up)) == 0
+    posed = replace(problem.pose, name=named(np.array(up))[0], up=up, unsteady=unsteady)
+    return replace(problem, frame=frame, bounds=bounds, loose_bounds=loose, pose=posed)
 
 
 def mesh_finely(
@@ -268,19 +252,22 @@ def build_scenes(
     def albedo(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
         return asset.closest_albedo(frame.restore(points), normals)
 
+    def look(points: np.ndarray, normals: np.ndarray, spacing: float) -> Look | None:
+        return asset.look(frame.restore(points), normals, spacing / frame.scale)
+
     ply = folder / "part.ply"
     normals = bridge.write_ply(ply, vertices, faces)
     optimised = RenderSettings(radius, config.resolution, config.samples)
     training = ScenePair(
         scenes.load(xml, ply, **asdict(optimised), silhouettes=config.silhouettes),
-        target.build_reference(xml, folder, vertices, faces, normals, albedo, optimised, pictures),
+        target.build_reference(xml, folder, vertices, faces, normals, albedo, optimised, pictures, look),
     )
     # Layers are looked at, and not optimised: on a wall they leave slopes without any gradient
     bulge = PRINTERS[config.printer].visible_bulge
     scored = RenderSettings(radius, evaluator.RESOLUTION, evaluator.SAMPLES, bulge)
     evaluation = ScenePair(scenes.load(xml, ply, **asdict(scored)), training.reference)
     evaluation.part.stand(frame.up)
-    return InitialSurface(vertices, faces, normals, albedo(vertices, normals)), training, evaluation
+    return initial_surface(asset, frame, vertices, faces, normals), training, evaluation
 
 
 def extract(asset: SdfAsset) -> tuple[SdfAsset, solid.Solid]:

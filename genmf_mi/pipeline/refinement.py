@@ -9,7 +9,8 @@ result.vertices_mm, result.faces, result.metrics["after"]["lpips_alex"]
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Collection
+from collections.abc import Collection, Generator
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -37,6 +38,7 @@ from genmf_mi.pipeline.optimisation import ExtraTerms, Optimisation, iterations,
 from genmf_mi.pipeline.preview import Preview
 from genmf_mi.pipeline.print_check import check_shapes, printer_named
 from genmf_mi.pipeline.problem import ONE_BRIGHTNESS, RefinementProblem, build_problem, parameterize, standing
+from genmf_mi.pipeline.regions import AssetRegions
 from genmf_mi.pipeline.results import Outcome, Result, conclude, shapes_of
 from genmf_mi.pipeline.run_folder import PREVIEW, RunFolder, fingerprint
 from genmf_mi.printing.printed import require_bed
@@ -53,6 +55,7 @@ def refine(
     *,
     textured: str | Path | Asset | None = None,
     up: str | None = None,
+    files_anywhere: bool = False,
     out: str | Path | None = None,
     scene: str | Path | None = None,
     references: tuple[str, ...] = (),
@@ -72,8 +75,8 @@ def refine(
     Args:
         asset: a file, the name of a bundled sample, a loaded :class:`genmf_mi.Asset`, or a shape as a generator holds
             it, :class:`genmf_mi.SdfAsset`, whose signed distance is refined in place of the vertices of a mesh.
-        textured: the mesh that has the colours of a generator's file. up: the axis of the file that points upwards,
-            see :func:`genmf_mi.load`.
+        textured: the mesh that has the colours of a generator's file. up: the axis of the file that points upwards;
+            files_anywhere: whether it may name files outside of its own folder, see :func:`genmf_mi.load`.
         out: folder for all files; None writes nothing. scene: the sample's own or ``default.xml`` if None.
         references: images to match instead of the texture, each ``image.png@azimuth,elevation``.
         verify: simulate the stress of the part ``before``, as it would be without the stress stage
@@ -89,28 +92,21 @@ def refine(
     config, progress, timer = config or RefineConfig(), progress or Progress(), Timer()
     _require(config, out, (asset, textured, scene, *references), resume=resume, print_check=bool(print_check))
 
-    with locked(out), tempfile.TemporaryDirectory(prefix="genmf-") as folder:
+    with locked(out), tempfile.TemporaryDirectory(prefix="genmf-") as folder, ExitStack() as stack:
         progress.stage("loading")
-        asset = sources.load(asset, textured, up)
+        asset = sources.load(asset, textured, up, files_anywhere=files_anywhere)
         device = variant.use(config.device)
         lpips_weights.require(*config.networks)
         xml = Path(scene) if scene else scene_file.find(asset.name)
-        if out and resume:
-            config = regions.resumed(config, RunFolder(Path(out)))
-        shape, painted = regions.of_asset(asset, config, up)
-        run = opened(out, asset, config, xml, references, force=force, resume=resume) if out else None
+        config, shape, painted = asked(asset, config, up, out if resume else None)
+        claim = opened(out, asset, config, xml, references, force=force, resume=resume)
+        run = stack.enter_context(claim)
         timer.lap("load")
 
         problem = build_problem(
             shape, config, xml, Path(folder), references=references, regions=painted, progress=progress, timer=timer
         )
-        _require_detail(problem)
-        progress.stage("rendering the references")
-        evaluator = build_evaluator(
-            problem.evaluation.reference, problem.evaluation.part, config.networks, regions=problem.region_images
-        )
-        displacement = best_displacement(problem, evaluator, progress)
-        problem, evaluator, displacement, stands = stood(problem, evaluator, displacement, config, progress)
+        problem, evaluator, displacement, stands = displaced(problem, config, progress)
         parameterization = parameterize(problem, config, device)
         timer.lap("displacement")
 
@@ -120,20 +116,40 @@ def refine(
         interrupted, state = refined(optimisation, displacement, evaluator, run, progress, resume=resume)
         timer.lap("optimise")
 
-        names = () if interrupted or not verify else SHAPES if verify is True else tuple(verify)
-        simulated, unconstrained = verified(optimisation, state, names, progress, timer)
+        simulated, unconstrained = verified(optimisation, state, () if interrupted else verify, progress, timer)
 
         progress.stage("checking for self-intersections")
         surface = parameterization.finish(state, self_intersections)
         timer.lap("untangle")
         outcome = Outcome(
-            problem, config, evaluator, displacement, surface, optimisation.history, interrupted, left_out,
-            simulated, unconstrained, stands,
+            problem, config, evaluator, displacement, surface, optimisation.history, interrupted, left_out, simulated,
+            unconstrained, stands,
         )  # fmt: skip
         if print_check and not interrupted:
             outcome = as_printed(outcome, print_check, xml, Path(folder), progress)
             timer.lap("print")
         return conclude(outcome, run, timer, progress, save_exr=save_exr)
+
+
+def asked(
+    asset: Asset | SdfAsset, config: RefineConfig, up: str | None, resumed: str | Path | None
+) -> tuple[RefineConfig, Asset | SdfAsset, AssetRegions | None]:
+    """The settings, with the regions of the run in the folder ``resumed`` if they have none of their own, and
+    :func:`genmf_mi.pipeline.regions.of_asset` for them."""
+    config = regions.resumed(config, RunFolder(Path(resumed))) if resumed else config
+    return config, *regions.of_asset(asset, config, up)
+
+
+def displaced(
+    problem: RefinementProblem, config: RefineConfig, progress: Progress
+) -> tuple[RefinementProblem, Evaluator, Displacement, list[Candidate]]:
+    """What scores parts, the best displacement, and :func:`stood` for them. Raises :class:`AssetError` for a texture of
+    one brightness."""
+    _require_detail(problem)
+    progress.stage("rendering the references")
+    pair = problem.evaluation
+    evaluator = build_evaluator(pair.reference, pair.part, config.networks, regions=problem.region_images)
+    return stood(problem, evaluator, best_displacement(problem, evaluator, progress), config, progress)
 
 
 def stood(
@@ -162,8 +178,9 @@ def stood(
     return problem, evaluator, best_displacement(problem, evaluator, progress), stands
 
 
+@contextmanager
 def opened(
-    out: str | Path,
+    out: str | Path | None,
     asset: Asset | SdfAsset,
     config: RefineConfig,
     xml: Path,
@@ -171,14 +188,22 @@ def opened(
     *,
     force: bool,
     resume: bool,
-) -> RunFolder:
-    """The folder of the run. Raises as :meth:`RunFolder.open`; files that are missing are missed later."""
+) -> Generator[RunFolder | None]:
+    """The folder of the run, None without ``out``; errors inside say whether the run can be continued.
+
+    Raises as :meth:`RunFolder.open`; files that are missing are missed later.
+    """
+    if out is None:
+        yield None
+        return
     pictures = [Path(text.rpartition("@")[0]) for text in references]
     turns = [text.rpartition("@")[2] for text in references]
     inputs = {"asset": fingerprint(asset), "scene": fingerprint(xml), "references": fingerprint(pictures, turns)}
     copies = regions.copies(config)
     inputs |= regions.fingerprints(copies)
-    return RunFolder.open(out, asset.name, config, inputs, copies=copies, force=force, resume=resume)
+    run = RunFolder.open(out, asset.name, config, inputs, copies=copies, force=force, resume=resume)
+    with run.resumable():
+        yield run
 
 
 def _require(
@@ -198,8 +223,8 @@ def _require(
 
 def _require_detail(problem: RefinementProblem) -> None:
     """Raise :class:`AssetError` for a texture of one brightness, of which no relief would come."""
-    brightness = problem.surface.brightness[problem.relief]
-    if not problem.training.reference.pictures and np.ptp(brightness) < ONE_BRIGHTNESS:
+    signals = problem.surface.signals[problem.relief]
+    if not problem.training.reference.pictures and np.ptp(signals, axis=0).max() < ONE_BRIGHTNESS:
         raise AssetError(
             f"the texture of {problem.asset.name} has one brightness all over, so there is nothing for the relief to "
             "show. Give pictures of it with --reference image.png@azimuth,elevation."
@@ -239,7 +264,7 @@ def as_printed(outcome: Outcome, slicer: str | bool, xml: Path, folder: Path, pr
 
 
 def verified(
-    optimisation: Optimisation, state: Any, names: Collection[str], progress: Progress, timer: Timer
+    optimisation: Optimisation, state: Any, verify: bool | Collection[str], progress: Progress, timer: Timer
 ) -> tuple[dict[str, Any], tuple[np.ndarray, np.ndarray] | None]:
     """Simulate the part before, without the stress stage and after, as far as these are named.
 
@@ -248,6 +273,7 @@ def verified(
         without the stress stage, None if it was not asked for or is the same as with it.
     """
     problem, config = optimisation.problem, optimisation.config
+    names = SHAPES if verify is True else tuple(verify or ())
     shapes = {"before": (problem.surface.vertices, problem.surface.faces)}
     unconstrained = None
     if optimisation.stage_one is not None and "unconstrained" in names:

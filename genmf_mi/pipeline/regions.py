@@ -21,7 +21,7 @@ from genmf_mi.geometry.fade import faded
 from genmf_mi.geometry.strokes import Label, painted
 from genmf_mi.mesh.measures import vertex_areas
 from genmf_mi.mesh.nearest import barycentric, closest_points
-from genmf_mi.pipeline.run_folder import RunFolder, fingerprint
+from genmf_mi.pipeline.run_folder import REPLACEMENT, RunFolder, fingerprint
 
 FLAT = 1e-3
 """Share of the cap below which a mask asks for a flat surface: black of an image that was compressed is not quite 0."""
@@ -207,6 +207,8 @@ def told(
 
 def resumed(config: RefineConfig, run: RunFolder) -> RefineConfig:
     """The settings with the regions of an interrupted run, unless they have some of their own."""
+    grown = RunFolder(run.path / REPLACEMENT)  # one that replaces a complete run goes on there
+    run = grown if grown.interrupted else run
     if given(config) or not run.interrupted:
         return config
     settings = run.settings()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +14,11 @@ from PIL.Image import Image
 from torch import Tensor
 
 from genmf_mi.core import memory
-from genmf_mi.core.colour import to_srgb, value
 from genmf_mi.core.config import RefineConfig
 from genmf_mi.core.progress import Progress
 from genmf_mi.core.timer import Timer
 from genmf_mi.fabrication import files
-from genmf_mi.fabrication.checks import check
+from genmf_mi.fabrication.checks import check, pieces
 from genmf_mi.geometry.parameterization import RefinedSurface
 from genmf_mi.geometry.plain_areas import is_plain
 from genmf_mi.mesh.measures import vertex_areas
@@ -28,7 +28,8 @@ from genmf_mi.pipeline.displacement import Displacement
 from genmf_mi.pipeline.evaluator import Evaluator, unseen_views
 from genmf_mi.pipeline.print_check import PrintCheck
 from genmf_mi.pipeline.problem import RefinementProblem
-from genmf_mi.pipeline.run_folder import AS_PRINTED, BEFORE_AFTER, REPORT, RunFolder
+from genmf_mi.pipeline.run_folder import AS_PRINTED, BEFORE_AFTER, EXR, REPORT, RunFolder
+from genmf_mi.pipeline.surface import seen_at, signals
 from genmf_mi.render import bridge
 from genmf_mi.render.exr import write_buffers
 from genmf_mi.report import Report, View, write_before_after, write_report
@@ -89,9 +90,18 @@ class Outcome:
 
     @property
     def rgb(self) -> np.ndarray:
-        """``[V,3]`` linear colour of the original at each vertex."""
+        """``[V,3]`` linear colour of the original at each vertex, in full light."""
+        return self._seen[0]
+
+    @property
+    def signals(self) -> np.ndarray:
+        """What is seen of the original at each vertex, see :func:`genmf_mi.pipeline.surface.signals`."""
+        return signals(*self._seen)
+
+    @cached_property
+    def _seen(self) -> tuple[np.ndarray, np.ndarray | None]:
         foot = self.problem.frame.restore(self.surface.foot)
-        return self.problem.asset.closest_albedo(foot, self.surface.normals)
+        return seen_at(self.problem.asset, foot, self.surface.normals)
 
 
 def conclude(
@@ -110,7 +120,7 @@ def conclude(
 
     progress.stage("checking the part")
     part_mm = problem.frame.to_print(surface.vertices)
-    metrics = metrics_of(outcome, scores, part_mm, rgb)
+    metrics = metrics_of(outcome, scores, part_mm)
     _warn(metrics, progress)
     result = Result(
         vertices_mm=part_mm,
@@ -120,11 +130,12 @@ def conclude(
         relief_mm=outcome.relief_mm,
         metrics=metrics,
         history=outcome.history,
-        out=run.path if run else None,
+        out=run.home(interrupted=outcome.interrupted) if run else None,
     )
     if run is not None and writing is not None:
         progress.stage("writing the files")
-        metrics["files"] = writing.result()
+        written = writing.result()
+        metrics["files"] = {kind: str((result.out or run.path) / Path(file).name) for kind, file in written.items()}
         # The report tells the time too, so far as it is known
         metrics["seconds"] = {"total": timer.total, **timer.seconds}
         write_pictures(outcome, run.path, buffers, rgb, metrics, save_exr=save_exr)
@@ -172,8 +183,8 @@ def scores_of(outcome: Outcome, shapes: Shapes, progress: Progress) -> tuple[dic
     return table, buffers
 
 
-def metrics_of(outcome: Outcome, scores: dict[str, Any], part_mm: np.ndarray, rgb: np.ndarray) -> dict[str, Any]:
-    """The contents of ``metrics.json`` but for files, seconds and memory; ``rgb`` as in :class:`Result`."""
+def metrics_of(outcome: Outcome, scores: dict[str, Any], part_mm: np.ndarray) -> dict[str, Any]:
+    """The contents of ``metrics.json`` but for files, seconds and memory."""
     problem, surface = outcome.problem, outcome.surface
     distance = np.linalg.norm(surface.offsets, axis=1) * problem.frame.mm_per_unit
     report = dict(surface.report)
@@ -186,7 +197,7 @@ def metrics_of(outcome: Outcome, scores: dict[str, Any], part_mm: np.ndarray, rg
             "p99": float(np.percentile(distance, 99)),
             "mean": float(distance.mean()),
         },
-        "plain_distortion_mm": plain_distortion(outcome, distance, rgb),
+        "plain_distortion_mm": plain_distortion(outcome, distance),
         "contrast": problem.contrast,
         "cap_mm": problem.cap_mm,
         "stand": stood(outcome),
@@ -195,6 +206,10 @@ def metrics_of(outcome: Outcome, scores: dict[str, Any], part_mm: np.ndarray, rg
         "solid": {**problem.report, **report, **check(part_mm, surface.faces)},
         "nonfinite_gradients": sum(record.get("nonfinite_gradients", 0) for record in outcome.history),
     }
+    if apart := pieces(part_mm, surface.faces):
+        metrics["pieces"] = apart
+    if problem.asset.notes:
+        metrics["asset_notes"] = list(problem.asset.notes)
     if problem.regions is not None:
         metrics["regions"] = regions.told(
             problem.regions, problem.surface.vertices, problem.surface.faces, surface.foot, distance, problem.frame
@@ -223,19 +238,21 @@ def region_pictures(outcome: Outcome, before: bridge.Buffers) -> dict[str, Image
 
 
 def stood(outcome: Outcome) -> dict[str, Any]:
-    """Which way up the part is printed: its name and ``up``, away from the bed, in the normalised frame; and under
-    ``candidates`` what was looked at to find it."""
-    up = outcome.problem.frame.up
-    name = outcome.stands[0].name if outcome.stands else outcome.config.stand
-    found: dict[str, Any] = {"name": name, "up": list(up)}
+    """Which way up the part is printed: its name and ``up``, away from the bed, in the normalised frame; ``asked``, if
+    that was ``auto``; ``unsteady``, if nothing flat of it lies on the bed; and under ``candidates`` what was looked at
+    to find it."""
+    pose = outcome.problem.pose
+    found: dict[str, Any] = {"name": pose.name, "up": list(pose.up)}
+    found |= {"asked": pose.asked} if pose.asked == "auto" else {}
+    found |= {"unsteady": True} if pose.unsteady else {}
     return found | ({"candidates": [asdict(each) for each in outcome.stands]} if outcome.stands else {})
 
 
-def plain_distortion(outcome: Outcome, distance_mm: np.ndarray, rgb: np.ndarray) -> dict[str, float]:
+def plain_distortion(outcome: Outcome, distance_mm: np.ndarray) -> dict[str, float]:
     """How far plain areas moved: mean, 95th percentile and maximum in mm, and their share of the surface; zeros where
     the object has no plain areas."""
     surface, frame = outcome.surface, outcome.problem.frame
-    plain = is_plain(surface.foot * frame.mm_per_unit, to_srgb(value(rgb)))
+    plain = is_plain(surface.foot * frame.mm_per_unit, outcome.signals)
     moved = distance_mm[plain] if plain.any() else np.zeros(1)
     area = vertex_areas(surface.foot, surface.faces)
     return {
@@ -304,7 +321,7 @@ def write_pictures(
     write_report(folder / REPORT, report)
     if save_exr:
         for name, shape in buffers.items():
-            write_buffers(folder / "exr" / name, scorer.views, shape)
+            write_buffers(folder / EXR / name, scorer.views, shape)
 
 
 BACKED_OFF = 0.01

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+import shutil
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, fields, is_dataclass, replace
 from hashlib import sha256
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from genmf_mi.core.config import MASK_FILE, REGIONS_FILE, RefineConfig
 from genmf_mi.core.errors import ConfigError, OutputError
-from genmf_mi.core.files import claim_folder, sweep, write_bytes, write_text
+from genmf_mi.core.files import claim_folder, sweep, write_bytes, write_text, written
 from genmf_mi.core.regions import MASK_IMAGES, MASK_MESHES
 from genmf_mi.fabrication.files import COLOURED_GLB, PRINT_3MF, PRINT_STL
 
@@ -27,7 +29,11 @@ FILES = (
     REGIONS_FILE, *MASKS,
     CONFIG, HISTORY, CHECKPOINT, METRICS, PREVIEW, BEFORE_AFTER, REPORT, AS_PRINTED, PRINT_3MF, PRINT_STL, COLOURED_GLB,
 )  # fmt: skip
-"""All that a run writes into its folder; ``exr`` is a folder of more."""
+EXR = "exr"
+"""All that a run writes into its folder, and a folder of more."""
+REPLACEMENT, COMPLETE, CONTENTS = ".replacement", ".complete", "contents.json"
+"""Below the folder of a run that is replaced: where the new one grows, what that is called once it is complete, and the
+list of its files that it then holds."""
 
 
 @dataclass(frozen=True)
@@ -37,9 +43,17 @@ class RunFolder:
     ``config.yaml`` is there from the start, ``metrics.jsonl`` holds a line per iteration, ``checkpoint.pt`` holds the
     state of the optimisation, ``preview.png`` shows the part so far; both are removed once the run is complete.
     ``metrics.json`` comes last.
+
+    A run that replaces another one grows in a folder below and takes its place when it is complete; until then the old
+    one is whole.
+
+    path: where the files are. replaces: the folder of the run that this one is to replace, or None.
+    started_with: what ``config.yaml`` holds, once the folder is open.
     """
 
     path: Path
+    replaces: Path | None = None
+    started_with: dict[str, Any] | None = None
 
     @classmethod
     def open(
@@ -66,7 +80,20 @@ class RunFolder:
         import yaml
 
         folder = cls(Path(path))
+        folder.settle()
+        grown = cls(folder.path / REPLACEMENT, folder.path)
+        if not grown.interrupted:
+            grown.discard()
         settings: dict[str, Any] = {"asset": asset, **config.to_dict(), "inputs": dict(inputs or {})}
+        if grown.interrupted and not (force or resume):
+            raise OutputError(
+                f"{path} holds a run, and another one that was to replace it and was interrupted. Use --resume to "
+                "continue that, --force to start it again, or another --out."
+            )
+        if resume and grown.interrupted:
+            sweep(grown.path, FILES)
+            grown.require(settings)
+            return replace(grown, started_with=settings)
         # Settings alone are of a run that failed before it had anything to lose
         claim_folder(
             path, "run", finished=(METRICS,), interrupted=(CHECKPOINT,), force=force, resume=resume,
@@ -75,13 +102,72 @@ class RunFolder:
         sweep(path, FILES)
         if resume:
             folder.require(settings)
-            return folder
+            return replace(folder, started_with=settings)
+        if any((folder.path / name).exists() for name in (METRICS, CHECKPOINT)):
+            grown.discard()
+            folder = grown
         write_text(folder.path / CONFIG, yaml.safe_dump(settings, sort_keys=False))
         for name in (HISTORY, CHECKPOINT, METRICS, PREVIEW, REGIONS_FILE, *MASKS):
             (folder.path / name).unlink(missing_ok=True)
         for name, content in (copies or {}).items():
             write_bytes(folder.path / name, content)
-        return folder
+        return replace(folder, started_with=settings)
+
+    @contextmanager
+    def resumable(self) -> Generator[None]:
+        """Have errors inside say that what there is can be continued, if it can."""
+        try:
+            yield
+        except OutputError as error:
+            if not self.interrupted:
+                raise
+            raise OutputError(f"{error} Then continue with --resume.") from error
+
+    def _keep_settings(self) -> None:
+        """Write ``config.yaml`` again if somebody has deleted the folder: without it nobody knows whose the rest is."""
+        import yaml
+
+        if self.started_with is not None and not (self.path / CONFIG).exists():
+            write_text(self.path / CONFIG, yaml.safe_dump(self.started_with, sort_keys=False))
+
+    def discard(self) -> None:
+        """Remove what a run has written here; other files stay. Raises :class:`OutputError`."""
+        if not self.path.is_dir():
+            return
+        sweep(self.path, FILES)
+        with written(self.path):
+            for name in (*FILES, CONTENTS):
+                (self.path / name).unlink(missing_ok=True)
+            shutil.rmtree(self.path / EXR, ignore_errors=True)
+            with suppress(OSError):  # there is something else in it
+                self.path.rmdir()
+
+    def settle(self) -> None:
+        """Let a replacement that is complete take its place; again where that was cut short.
+
+        Raises:
+            OutputError: a file cannot be moved, or the list of them is damaged.
+        """
+        complete = self.path / COMPLETE
+        if not complete.is_dir():
+            return
+        try:
+            names = json.loads((complete / CONTENTS).read_text(encoding="utf-8"))
+            places = [PurePosixPath(name) for name in names]
+        except FileNotFoundError:  # another process was faster
+            return
+        except (OSError, ValueError, TypeError, RecursionError) as error:
+            raise OutputError(f"{complete / CONTENTS} is damaged. Delete {complete}.") from error
+        if not all(str(place) in FILES or (place.parts[:1] == (EXR,) and ".." not in place.parts) for place in places):
+            raise OutputError(f"{complete / CONTENTS} is damaged. Delete {complete}.")
+        with written(self.path):
+            for name in set(FILES) - set(names):
+                (self.path / name).unlink(missing_ok=True)
+            for place in places:  # the metrics last
+                (self.path / place).parent.mkdir(parents=True, exist_ok=True)
+                with suppress(FileNotFoundError):  # it was moved before
+                    (complete / place).replace(self.path / place)
+        RunFolder(complete).discard()
 
     @property
     def is_ours(self) -> bool:
@@ -94,7 +180,7 @@ class RunFolder:
     @property
     def interrupted(self) -> bool:
         """Whether there is a run to resume."""
-        return (self.path / CHECKPOINT).exists()
+        return any((folder / CHECKPOINT).exists() for folder in (self.path, self.path / REPLACEMENT))
 
     def require(self, settings: dict[str, Any]) -> None:
         """Raise :class:`ConfigError` if the run was started with other ``settings``; the device does not count."""
@@ -127,6 +213,7 @@ class RunFolder:
         Raises:
             OutputError: damaged.
         """
+        self.settle()
         if self.interrupted or not (self.path / METRICS).exists():
             return None
         try:
@@ -141,6 +228,7 @@ class RunFolder:
     def save(self, checkpoint: Checkpoint, history: Sequence[dict[str, Any]]) -> None:
         """Replace the history, then the checkpoint, so that a crash in between leaves a history that is too long,
         never one that is too short. Raises :class:`OutputError`."""
+        self._keep_settings()
         write_text(self.path / HISTORY, "".join(json.dumps(line) + "\n" for line in history))
         checkpoint.save(self.path / CHECKPOINT)
 
@@ -164,11 +252,28 @@ class RunFolder:
         return checkpoint, history
 
     def finish(self, metrics: dict[str, Any]) -> None:
-        """Write ``metrics.json``, and remove the checkpoint, unless the run was interrupted, and the preview."""
+        """Write ``metrics.json``, and remove the preview and, unless the run was interrupted, the checkpoint. A
+        complete run then takes the place of the one that it replaces. Raises :class:`OutputError`."""
+        self._keep_settings()
         write_text(self.path / METRICS, json.dumps(metrics, indent=2) + "\n")
-        if not metrics.get("interrupted"):
-            (self.path / CHECKPOINT).unlink(missing_ok=True)
         (self.path / PREVIEW).unlink(missing_ok=True)
+        if metrics.get("interrupted"):
+            return
+        if self.replaces is None:
+            (self.path / CHECKPOINT).unlink(missing_ok=True)
+        else:
+            inside = (self.path / EXR).rglob("*")
+            exr = [file.relative_to(self.path).as_posix() for file in inside if file.is_file()]
+            present = {name for name in FILES if (self.path / name).exists()} - {CHECKPOINT, METRICS}
+            files = [*exr, *(name for name in FILES if name in present), METRICS]
+            write_text(self.path / CONTENTS, json.dumps(files))
+            with written(self.replaces):
+                self.path.rename(self.replaces / COMPLETE)  # from here on nothing can be lost
+            RunFolder(self.replaces).settle()
+
+    def home(self, *, interrupted: bool) -> Path:
+        """Where the files are after :meth:`finish`."""
+        return self.path if self.replaces is None or interrupted else self.replaces
 
 
 def fingerprint(*things: Any) -> str:
@@ -187,7 +292,7 @@ def _add(content: Any, thing: Any) -> None:
         content.update(thing.read_bytes() if thing.is_file() else b"")
     elif is_dataclass(thing):
         for field in fields(thing):
-            if field.name not in ("name", "source", "report", "groups", "group"):
+            if field.name not in ("name", "source", "report", "notes", "groups", "group"):
                 _add(content, getattr(thing, field.name))
     elif isinstance(thing, (tuple, list)):
         for one in cast("Sequence[Any]", thing):

@@ -94,7 +94,7 @@ def _close(problem: RefinementProblem, rng: np.random.Generator, shift: np.ndarr
     """Something small, chosen in proportion to its contrast, ``shift`` degrees of azimuth and elevation off head on."""
     surface, scene = problem.surface, problem.training.part
     # Triangles are small where the texture is fine, so that vertices are many there
-    contrast = np.abs(surface.brightness - problem.broad) + FAINTEST
+    contrast = problem.detail + FAINTEST
     if problem.regions is not None:
         contrast = contrast * problem.regions.mask * problem.regions.weight
     chosen = int(rng.choice(len(contrast), p=contrast / contrast.sum()))

@@ -119,6 +119,10 @@ class Scene:
         """Of the whole image at unit distance."""
         return float(np.tan(np.radians(self.fov / 2)))
 
+    def has_attribute(self, name: str) -> bool:
+        """Whether the mesh has this attribute."""
+        return any(shape.has_attribute(name) for shape in self.scene.shapes() if shape.id() == self.shape_id)
+
     def resize(self, resolution: int) -> None:
         """Render at ``resolution`` pixels per side from now on."""
         if resolution != self.resolution:

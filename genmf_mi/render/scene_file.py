@@ -70,6 +70,8 @@ def one_line(error: Exception) -> str:
 
 def _collect_defaults(path: Path, xml: Path, parents: tuple[Path, ...], defaults: dict[str, str]) -> None:
     """Add the defaults of ``path``, which the ``parents`` include, to those of the scene file ``xml``."""
+    if path.exists() and not path.is_file():  # a pipe or a device has no end
+        raise SceneError(f"{path} is no file. Check the spelling, or {START}")
     try:
         root = ElementTree.parse(path).getroot()
     except FileNotFoundError as error:

@@ -27,6 +27,8 @@ from genmf_mi.report.pictures import (
 from genmf_mi.report.regions import told
 from genmf_mi.report.summary import notes, tiles
 
+NOT_COMPARED = ("stress", "stand", "pieces", "asset_notes", "regions")
+"""Entries of the metrics that are told elsewhere on the page."""
 _SIDE = 480
 """Longest side of the pictures per view in pixels; larger images are reduced."""
 
@@ -60,9 +62,7 @@ def render(report: Report) -> str:
     environment.filters["term"] = tables.term
     environment.filters["text"] = tables.text
     environment.filters["short"] = lambda value: f"{value:.3g}"
-    comparisons, other = tables.compare(
-        {k: v for k, v in report.metrics.items() if k not in ("stress", "stand", "regions")}
-    )
+    comparisons, other = tables.compare({k: v for k, v in report.metrics.items() if k not in NOT_COMPARED})
     mesh = packing.pack(report)
     drawn = curves.curves(report.history)
     return environment.from_string(_file("page.html")).render(

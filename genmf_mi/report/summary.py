@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from genmf_mi.report import tables
 from genmf_mi.report.model import Report
+from genmf_mi.report.remarks import remarks
 
 NOTICEABLE_BACK_OFF = 0.01
 """A note says how much relief was taken back where it is more than this share of the surface."""
@@ -77,6 +78,7 @@ def notes(report: Report) -> list[str]:
         "The relief reads best under one main lamp, here from the upper left with a weaker one from the right. Light "
         "from the side makes it stronger, light from all around weaker: try the lamp of the 3D view."
     )
+    written += remarks(report.metrics)
     if reason := metrics.get("stress_stage_left_out"):
         written.append(f"There was no stress stage: {reason}.")
     if metrics.get("solid.watertight") is False:

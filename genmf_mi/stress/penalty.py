@@ -92,9 +92,13 @@ class StressPenalty:
         return {"calls": self._calls, "tangent": dict(self._tangent), "ratios": dict(self._ratios)}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue from a :meth:`state_dict`."""
-        self._calls, self._ratios = state["calls"], dict(state["ratios"])
-        self._tangent = {name: value.to(self._initial.device) for name, value in state["tangent"].items()}
+        """Continue from a :meth:`state_dict`. Raises :class:`ValueError` for one of another shape, or that is none."""
+        tangent = {name: value.to(self._initial.device) for name, value in state["tangent"].items()}
+        whole = {"value", "at", "gradient", "strength"} <= set(tangent) or not state["calls"]
+        fits = all(tangent[name].shape == self._initial.shape for name in ("at", "gradient") if name in tangent)
+        if not (isinstance(state["calls"], int) and whole and fits):
+            raise ValueError("no state of this stress penalty")
+        self._calls, self._ratios, self._tangent = state["calls"], dict(state["ratios"]), tangent
 
     def _evaluate(self, shape: Tensor) -> None:
         at = shape.detach().clone()

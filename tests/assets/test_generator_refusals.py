@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import zipfile
 
 import numpy as np
 import pytest
@@ -185,3 +186,21 @@ class TestDamage:
         np.savez_compressed(tmp_path / "bomb.npz", sdf=np.zeros(10_000))
         with pytest.raises(AssetError, match="unpacks to"):
             files.load(tmp_path / "bomb.npz")
+
+    def test_members_that_are_no_arrays(self, tmp_path):
+        with zipfile.ZipFile(tmp_path / "bad.npz", "w") as archive:
+            archive.writestr("sdf", b"text")
+        with pytest.raises(AssetError, match="sdf, which is no array"):
+            files.load(tmp_path / "bad.npz")
+
+    def test_a_header_that_tells_more_than_there_is(self, tmp_path):
+        np.savez(tmp_path / "whole.npz", sdf=np.zeros(1000, np.float32))
+        with zipfile.ZipFile(tmp_path / "whole.npz") as whole, zipfile.ZipFile(tmp_path / "bad.npz", "w") as archive:
+            archive.writestr("sdf.npy", whole.read("sdf.npy").replace(b"(1000,)", b"(9999,)"))
+        with pytest.raises(AssetError, match="shorter than it tells"):
+            files.load(tmp_path / "bad.npz")
+
+    def test_a_few_numbers_that_stand_for_a_large_tensor(self, tmp_path):
+        torch.save({"sdf": torch.zeros(1).expand(10**10)}, tmp_path / "bad.pt")
+        with pytest.raises(AssetError, match="holds a tensor of 10000000000 numbers"):
+            files.load(tmp_path / "bad.pt")

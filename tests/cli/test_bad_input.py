@@ -56,8 +56,8 @@ def plane() -> str:
     return str(textured_quad(Path("plane.glb"), checks, np.array([[0, 0], [1, 0], [1, 1], [0, 1]])))
 
 
-def without_texture_file() -> str:
-    file("toy.mtl", b"newmtl paint\nmap_Kd paint.png\n")
+def without_texture_file(name: str = "paint.png") -> str:
+    file("toy.mtl", f"newmtl paint\nmap_Kd {name}\n".encode())
     vertices = [f"v {x} {y} {z}" for x, y, z in egg().vertices]
     faces = [f"f {a}/1 {b}/1 {c}/1" for a, b, c in egg().faces + 1]
     return file("toy.obj", "\n".join(["mtllib toy.mtl", "usemtl paint", *vertices, "vt 0 0", *faces]).encode())
@@ -100,6 +100,7 @@ BAD = {
     "reference missing": (lambda: toy("--reference", "a.png@0,0"), r"reference image a\.png", "No such file"),
     "reference of nothing": (lambda: toy("--reference", picture()), r"white\.png is empty", "everything in it is"),
     "no such scene": (lambda: toy("--scene", "my.xml"), r"no scene file my\.xml", "genmf-mi scene"),
+    "scene of a device": (lambda: toy("--scene", "/dev/zero"), "/dev/zero is no file", "genmf-mi scene"),
     "unreadable XML": (lambda: scene_file("</scene>", ""), r"my\.xml is not readable as XML.*line \d+", "Fix it"),
     "XML with an unknown plugin": (lambda: scene_file('"multijitter"', '"magic"'), r"my\.xml.*magic", "Fix it"),
     "XML without twolight": (lambda: scene_file(BSDF, '<bsdf type="diffuse"/>'), r"my\.xml.*`twolight`", "genmf-mi"),
@@ -107,6 +108,10 @@ BAD = {
     "size zero": (lambda: toy("--size-mm", "0"), "size-mm", "must be positive, not 0"),
     "size negative": (lambda: toy("--size-mm", "-5"), "size-mm", "must be positive, not -5"),
     "size not a number": (lambda: toy("--size-mm", "nan"), "size-mm", "must be a finite number, not nan"),
+    "seed negative": (lambda: toy("--seed", "-1"), "seed must be 0 to", "not -1"),
+    "resolution too large": (lambda: toy("--resolution", "60000"), "resolution must be 64 to 4096", "not 60000"),
+    "reference of a device": (lambda: toy("--reference", "/dev/zero@0,0"), "reference image /dev/zero", "is no file"),
+    "files elsewhere": (lambda: [without_texture_file("/etc/passwd")], "names /etc/passwd", "use --files-anywhere"),
     "cap negative": (lambda: toy("--max-relief-mm", "-0.1"), "max-relief-mm", r"cannot be negative \(-0\.1"),
     "cap too large": (lambda: toy("--max-relief-mm", "30"), "max-relief-mm 30", "lower it"),
     "weight negative": (lambda: toy("--gradient-sign", "-1"), "gradient-sign cannot be -1", "0 leaves the term out"),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from genmf_mi.mesh.self_intersections import properly_intersecting, self_intersections
+from genmf_mi.mesh.self_intersections import is_tangled, properly_intersecting, self_intersections
 
 
 def sign(p, a, b, c) -> int:
@@ -81,3 +81,23 @@ def test_slivers_side_by_side_in_one_plane_do_not_count():
     faces = np.concatenate([np.column_stack([low, low + 1, high]), np.column_stack([low + 1, high + 1, high])])
     assert len(self_intersections(square, faces)) == 0
     assert len(properly_intersecting(square, faces, np.arange(len(faces)))) == 0
+
+
+class TestTangled:
+    def test_garbage(self):
+        """It is told before the search, which would take minutes."""
+        random = np.random.default_rng(0)
+        ball = trimesh.creation.icosphere(3)
+        for points in (random.uniform(-1, 1, ball.vertices.shape), random.integers(-2, 3, ball.vertices.shape) * 1.0):
+            assert is_tangled(points, np.array(ball.faces))
+        soup = random.uniform(-1, 1, (2000, 3, 3))
+        assert is_tangled(soup.reshape(-1, 3), np.arange(6000).reshape(-1, 3))
+
+    def test_bodies_that_overlap_are_none(self):
+        """Sixty spikes through one point, and what is merely dense or finely cut."""
+        turns = trimesh.transformations.random_rotation_matrix
+        random = np.random.default_rng(0)
+        spikes = [trimesh.creation.box((0.02, 0.02, 2), turns(random.random(3))) for _ in range(60)]
+        for mesh in (trimesh.util.concatenate(spikes), trimesh.creation.cylinder(1, 1, sections=400),
+                     trimesh.creation.icosphere(4)):  # fmt: skip
+            assert not is_tangled(np.array(mesh.vertices), np.array(mesh.faces))

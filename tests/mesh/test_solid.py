@@ -244,3 +244,14 @@ def test_real_assets_that_are_sound_pass_quickly(assets):
         assert time.process_time() - start < 3
         assert abs(len(made.faces) - len(found.faces)) < 5
         assert made.report["bodies"] == 1
+
+
+def test_garbage_is_refused():
+    """Before searches that would take minutes, and gigabytes."""
+    points = np.random.default_rng(0).uniform(-1, 1, BALL.vertices.shape)
+    with pytest.raises(SolidError, match="cuts through dozens of others"):
+        solid.solidify("noise", points, np.array(BALL.faces))
+    fan = np.column_stack([np.zeros(500, int), np.ones(500, int), np.arange(2, 502)])
+    points = np.random.default_rng(0).uniform(-1, 1, (502, 3))
+    with pytest.raises(SolidError, match="500 triangles meet at one edge"):
+        solid.solidify("book", points, fan)

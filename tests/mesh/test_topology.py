@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import igl
 import numpy as np
 import pytest
 import trimesh
@@ -115,3 +116,24 @@ def test_holes_that_touch_in_a_vertex_have_a_rim_each():
     loops = topology.boundary_loops(faces)
     assert sorted(map(len, loops)) == [3, 3]
     assert topology.is_closed(np.vstack([faces, *[[loop] for loop in loops]]))
+
+
+def test_weld_of_clusters_that_are_far_apart():
+    """Within each all are neighbours: as pairs they would not fit into memory."""
+    cluster = np.random.default_rng(0).uniform(-1, 1, (3000, 3))
+    points = np.concatenate([cluster, cluster + 1e8])
+    vertices, faces = topology.weld(points, np.arange(6000).reshape(-1, 3), 100.0)
+    assert len(vertices) == 2 and (faces == faces[:, :1]).all()
+
+
+def test_components_are_numbered_in_the_order_of_the_faces():
+    """As libigl has them, which lists all pairs of faces at an edge."""
+    parts = [BALL, BOX, BALL]
+    starts = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
+    faces = np.concatenate([np.array(part.faces) + start for part, start in zip(parts, starts, strict=True)])
+    shuffled = np.random.default_rng(0).permutation(faces)
+    found = topology.components(shuffled)
+    assert np.array_equal(found, np.asarray(igl.facet_components(np.ascontiguousarray(shuffled))[1]))
+    assert found[0] == 0 and found.max() == 2
+    around_one_edge = np.column_stack([np.zeros(30_000, int), np.ones(30_000, int), np.arange(2, 30_002)])
+    assert topology.components(around_one_edge).max() == 0 and topology.most_crowded_edge(around_one_edge) == 30_000

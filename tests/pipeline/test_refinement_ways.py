@@ -192,7 +192,7 @@ class TestLocalContrast:
     def of(brightness) -> float:
         vertices, faces = ellipsoid()
         field = brightness(vertices)
-        return local_contrast(field, low_frequency(vertices, faces, field, 0.16))
+        return local_contrast(np.abs(field - low_frequency(vertices, faces, field, 0.16)))
 
     def test_one_brightness_has_none(self):
         assert self.of(lambda v: np.full(len(v), 0.7)) == pytest.approx(0, abs=1e-6)

@@ -115,10 +115,9 @@ class TestOpen:
         started(tmp_path, force=True)
         assert set(os.listdir(tmp_path)) == {CONFIG, ".refined-note.txt"}
 
-    @pytest.mark.parametrize("before", [finished, interrupted, stopped, failed])
-    def test_with_force_it_is(self, tmp_path, before):
+    def test_with_force_it_is(self, tmp_path):
         """Whatever could be taken for the new run's is gone; other files stay."""
-        before(tmp_path)
+        failed(tmp_path)
         (tmp_path / "note.txt").write_text("mine")
         started(tmp_path, replace(SETTINGS, iterations=7), force=True)
         assert set(os.listdir(tmp_path)) == {CONFIG, "note.txt"}
@@ -267,6 +266,26 @@ class TestLoad:
         (tmp_path / HISTORY).unlink() if text is None else (tmp_path / HISTORY).write_text(text)
         with pytest.raises(OutputError, match="--force"):
             run.load()
+
+    @pytest.mark.parametrize("text", ["", "[]", "{", "[" * 100_000, "\x00"])
+    def test_damaged_metrics(self, tmp_path, text):
+        run = finished(tmp_path)
+        (tmp_path / METRICS).write_text(text)
+        with pytest.raises(OutputError, match=r"metrics\.json.*--force"):
+            run.metrics()
+
+    @pytest.mark.parametrize(
+        "moment", [{}, {"first": torch.zeros(2)}, {"second": torch.full((5, 3), torch.nan)}, {"step": "x"}]
+    )
+    def test_damaged_optimiser(self, moment):
+        """Of another shape, not numbers, or not there: refused before an iteration is made with it."""
+        parameter = torch.zeros(5, 3)
+        optimiser = UniformAdam((parameter,), 0.1)
+        state = optimiser.state_dict()["moments"][0]
+        optimiser.load_state_dict({"moments": [dict(state)]})
+        for broken in ({"moments": [state | moment if moment else {}]}, {"moments": []}, {}):
+            with pytest.raises(ValueError, match=r"no state|zip"):
+                optimiser.load_state_dict(broken)
 
 
 class TestFinish:

@@ -39,7 +39,7 @@ def problem(views: tuple[View, ...], pictures: tuple = (), shares: tuple[float, 
     return SimpleNamespace(
         training=SimpleNamespace(reference=reference, part=part),
         surface=SimpleNamespace(vertices=normals, normals=normals, brightness=np.exp(20 * (normals[:, 0] - 1))),
-        broad=np.zeros(len(normals)),
+        detail=np.exp(20 * (normals[:, 0] - 1)),
         regions=RegionField(1.0 * (normals[:, 0] < 0), *np.ones((2, len(normals)))) if shares else None,
         region_images=SimpleNamespace(shares=np.array(shares)) if shares else None,
     )

@@ -1,4 +1,4 @@
-"""glTF 2.0, binary and JSON: geometry and base colour, with nothing left out silently.
+"""glTF 2.0, binary and JSON: geometry, base colour and maps, with nothing left out silently.
 
 General mesh readers drop what changes the colour without changing the shape: sampler wrap modes, KHR_texture_transform,
 the second UV set, the product of texture and COLOR_0, sparse and quantised accessors. Here every one of them is
@@ -15,7 +15,9 @@ import numpy as np
 
 from genmf_mi.assets.albedo import CLAMP, MIRROR, REPEAT, Material, Texture
 from genmf_mi.assets.formats.gltf_data import GltfData
+from genmf_mi.assets.formats.gltf_maps import emission_is_the_colour, emission_of, maps_of
 from genmf_mi.assets.part import Part, decode_alpha, decode_image
+from genmf_mi.assets.reading import current
 from genmf_mi.core.errors import AssetError
 
 _WRAP = {10497: REPEAT, 33071: CLAMP, 33648: MIRROR}
@@ -25,6 +27,8 @@ _SUPPORTED = {
     "KHR_mesh_quantization",
     "KHR_texture_transform",
 }
+_FARTHEST = 1e6
+"""Numbers of a texture transform."""
 _HARMLESS = ("KHR_materials_", "KHR_lights_", "KHR_xmp", "KHR_animation", "EXT_lights_")
 
 
@@ -51,7 +55,7 @@ class _Reader:
                 f"{path} needs the glTF extension {', '.join(unknown)}, which is not supported. "
                 "Export it again without compression or special textures."
             )
-        self.materials: dict[int | None, tuple[Material, int]] = {}
+        self.materials: dict[tuple[int | None, bool], tuple[Material, int, bool]] = {}
         self.images: dict[int, np.ndarray] = {}
 
     def parts(self) -> list[Part]:
@@ -82,6 +86,7 @@ class _Reader:
                     continue  # points and lines have no surface
                 names = tuple(str(one["name"]) for one in (node, mesh) if one.get("name"))
                 part = replace(self.primitive(primitive, weights), names=(tuple(dict.fromkeys(names)),))
+                current().take_faces(len(part.faces), self.path)
                 if "skin" in node and "JOINTS_0" in primitive["attributes"]:
                     parts.append(self.posed(part, primitive["attributes"], self.tree["skins"][node["skin"]], world))
                 else:
@@ -93,7 +98,11 @@ class _Reader:
         read, indices = self.data.accessor, primitive.get("indices")
         if "KHR_draco_mesh_compression" in primitive.get("extensions", {}):
             decoded = self.data.draco(primitive)
-            read, indices = (lambda index: decoded[index]), primitive["indices"]
+            indices = primitive["indices"]
+
+            def read(index: int) -> np.ndarray:
+                return decoded[index] if index in decoded else self.data.accessor(index)
+
         vertices = read(attributes["POSITION"]).astype(np.float64)
         for weight, target in zip(weights, primitive.get("targets", [])):
             if weight and "POSITION" in target:
@@ -102,20 +111,32 @@ class _Reader:
         faces = _triangles(order, primitive.get("mode", 4))
         if len(faces) and not 0 <= faces.min() <= faces.max() < len(vertices):
             raise AssetError(f"{self.path} has faces that point to missing vertices. Export it again.")
-        material, uv_set = self.material(primitive.get("material"))
+        colours = attributes.get("COLOR_0")
+        material, uv_set, emission = self.material(primitive.get("material"), coloured=colours is not None)
         uv = attributes.get(f"TEXCOORD_{uv_set}")
         if material.texture is not None and uv is None:
             raise AssetError(
                 f"{self.path} has a texture but no texture coordinates (TEXCOORD_{uv_set}). "
                 "Unwrap it and export it again."
             )
-        colours = attributes.get("COLOR_0")
+
+        place = None if uv is None else read(uv).astype(np.float64)
+        if place is not None and place.shape[1] != 2:
+            raise AssetError(f"{self.path} is damaged: its texture coordinates are no pairs. Export it again.")
+
+        def attribute(name: str) -> np.ndarray | None:
+            return read(attributes[name]) if name in attributes else None
+
+        whole = {} if primitive.get("material") is None else self.tree["materials"][primitive["material"]]
+        maps, notes = maps_of(whole, self.map_texture, attribute, emission=emission)
         return Part(
             vertices,
             faces,
             material,
-            None if uv is None else read(uv).astype(np.float64),
+            place,
             None if colours is None else read(colours)[:, :3].astype(np.float32),
+            maps,
+            tuple(notes),
         )
 
     def posed(self, part: Part, attributes: dict, skin: dict, world: dict[int, np.ndarray]) -> Part:
@@ -127,40 +148,67 @@ class _Reader:
         weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)
         blend = np.einsum("vk,vkij->vij", weights, joints[self.data.accessor(attributes["JOINTS_0"]).astype(np.int64)])
         vertices = np.einsum("vij,vj->vi", blend[:, :3, :3], part.vertices) + blend[:, :3, 3]
-        return replace(part, vertices=vertices)
+        return replace(part, vertices=vertices, maps=part.maps.turned(blend[:, :3, :3]))
 
-    def material(self, index: int | None) -> tuple[Material, int]:
-        """The base colour of a material, and the UV set that its texture uses."""
-        if index not in self.materials:
-            self.materials[index] = self._material({} if index is None else self.tree["materials"][index])
-        return self.materials[index]
+    def material(self, index: int | None, *, coloured: bool) -> tuple[Material, int, bool]:
+        """The base colour of a material, the UV set that its texture uses, and whether it gives off light beside it.
 
-    def _material(self, material: dict) -> tuple[Material, int]:
+        coloured: whether the vertices have colours.
+        """
+        key = index, coloured
+        if key not in self.materials:
+            self.materials[key] = self._material({} if index is None else self.tree["materials"][index], coloured)
+        return self.materials[key]
+
+    def _material(self, material: dict, coloured: bool) -> tuple[Material, int, bool]:
         surface = material.get("pbrMetallicRoughness", {})
         factor, image = surface.get("baseColorFactor", [1, 1, 1, 1]), surface.get("baseColorTexture")
         glossy = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness")
         if glossy is not None:
             factor, image = glossy.get("diffuseFactor", [1, 1, 1, 1]), glossy.get("diffuseTexture")
         light = material.get("emissiveTexture")
-        if image is None and light is not None and any(material.get("emissiveFactor", [0, 0, 0])):
-            # Shadeless scans have their picture there, on a base of one colour
-            factor, image = [*material["emissiveFactor"], 1], light
+        # A picture that is both is meant once
+        glows = any(emission_of(material)) and not (image and light and self._same(image, light))
+        if glows and image is None and not coloured:
+            picture = None if light is None else self.image(self._source(light))
+            if emission_is_the_colour(material, factor, picture):
+                # Shadeless scans have their picture there, on a base of one colour
+                factor, image, glows = [*material["emissiveFactor"], 1], light, False
         mode = material.get("alphaMode", "OPAQUE")
         cutoff = {"MASK": float(material.get("alphaCutoff", 0.5)), "BLEND": 0.5}.get(mode)
         red, green, blue = map(float, factor[:3])
         opacity = float(factor[3]) if len(factor) > 3 else 1.0
+        name = str(material.get("name", ""))
         if image is None:
-            return Material((red, green, blue), None, cutoff, opacity, str(material.get("name", ""))), 0
-        transform = image.get("extensions", {}).get("KHR_texture_transform", {})
-        texture = self._texture(image, transform, transparent=cutoff is not None)
-        uv_set = transform.get("texCoord", image.get("texCoord", 0))
-        return Material((red, green, blue), texture, cutoff, opacity, str(material.get("name", ""))), uv_set
+            return Material((red, green, blue), None, cutoff, opacity, name), 0, glows
+        texture, uv_set = self.map_texture(image, transparent=cutoff is not None)
+        return Material((red, green, blue), texture, cutoff, opacity, name), uv_set, glows
 
-    def _texture(self, image: dict, transform: dict, *, transparent: bool) -> Texture:
+    def map_texture(self, image: dict, *, transparent: bool = False) -> tuple[Texture, int]:
+        """A texture that a material refers to, and the UV set that it uses."""
+        transform = image.get("extensions", {}).get("KHR_texture_transform", {})
+        uv_set = transform.get("texCoord", image.get("texCoord", 0))
+        texture = self._texture(image, transform, transparent=transparent)
+        if not np.abs(texture.transform).max() < _FARTHEST:  # or NaN
+            raise AssetError(f"{self.path} moves a texture by what is no sensible number. Export it again.")
+        return texture, uv_set
+
+    def _same(self, one: dict, other: dict) -> bool:
+        """Whether two references are to the same texture, or to entries that say the same."""
+        entries = dict(enumerate(self.tree["textures"]))
+        first, second = one.get("index", -1), other.get("index", -2)
+        return first == second or entries.get(first) == entries.get(second, {})
+
+    def _source(self, image: dict) -> int:
+        """The image behind a reference to a texture."""
         entry = self.tree["textures"][image["index"]]
         source = entry.get("extensions", {}).get("EXT_texture_webp", entry).get("source", entry.get("source"))
         if source is None:
             raise AssetError(f"{self.path} has a texture of a kind that is not supported. Export it with PNG or JPEG.")
+        return source
+
+    def _texture(self, image: dict, transform: dict, *, transparent: bool) -> Texture:
+        entry, source = self.tree["textures"][image["index"]], self._source(image)
         sampler = self.tree["samplers"][entry["sampler"]] if "sampler" in entry else {}
         along_u, along_v = (_WRAP[sampler.get(key, 10497)] for key in ("wrapS", "wrapT"))
         nearest = sampler.get("magFilter") == 9728

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import struct
+from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 from urllib.parse import unquote
@@ -47,17 +48,24 @@ class GltfData:
                 raise AssetError(f"{self.path} is damaged: an array reaches beyond its data. Export it again.")
             array = np.ndarray((count, width), dtype, data, start, (stride, dtype.itemsize))
         else:
+            self._whole(count, self._stored)
             array = np.zeros((count, width), dtype)
         if "sparse" in accessor:
             sparse, array = accessor["sparse"], array.copy()
             where, what = sparse["indices"], sparse["values"]
-            size, kind = sparse["count"], _DTYPE[where["componentType"]]
+            size, kind = self._whole(sparse["count"], count), _DTYPE[where["componentType"]]
             rows = np.frombuffer(self.view(where["bufferView"]), kind, size, where.get("byteOffset", 0))
             values = np.frombuffer(self.view(what["bufferView"]), dtype, size * width, what.get("byteOffset", 0))
             array[rows] = values.reshape(-1, width)
         if accessor.get("normalized") and dtype.kind in "iu":
             return np.maximum(array / np.float32(np.iinfo(dtype).max), -1)
         return array
+
+    @cached_property
+    def _stored(self) -> int:
+        """The most entries of an array that has its data in a file; one that has none is as long as another."""
+        counts = [entry.get("count") for entry in self.tree["accessors"] if "bufferView" in entry]
+        return max((count for count in counts if isinstance(count, int)), default=0)
 
     def draco(self, primitive: dict) -> dict[int, np.ndarray]:
         """The compressed accessors of a primitive, by accessor index."""
@@ -99,7 +107,7 @@ class GltfData:
         """The bytes behind a data URI or the name of a file beside the asset (2.8)."""
         if uri.startswith("data:"):
             return base64.b64decode(uri.partition(",")[2])
-        data = beside.read(self.path, unquote(uri))
+        data = beside.read(self.path, unquote(uri, errors="surrogateescape"))
         if data is None:
             raise AssetError(
                 f"{self.path} refers to {uri}, which is not beside it. "
@@ -131,7 +139,8 @@ def _container(path: Path) -> tuple[dict, bytes]:
     else:
         text, version = data, 2
     try:
-        tree = json.loads(text)
+        # Names that are no UTF-8 must not cost the file
+        tree = json.loads(text.decode(json.detect_encoding(text), "surrogateescape"))
         version = min(version, int(tree["asset"]["version"].split(".")[0]))
     except (ValueError, KeyError, TypeError, AttributeError):
         raise AssetError(f"{path} is not glTF. Check that the download is complete.") from None

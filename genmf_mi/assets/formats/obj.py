@@ -55,8 +55,8 @@ def read(path: Path) -> list[Part]:
                 material,
                 None if (used[:, 1] < 0).any() else uv[used[:, 1]],
                 colours[used[:, 0]] if material.texture is None and colours is not None else None,
-                names,
-                group,
+                names=names,
+                group=group,
             )
         )
     return parts

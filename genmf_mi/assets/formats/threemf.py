@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import shutil
+import tempfile
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +16,7 @@ from genmf_mi.assets.albedo import CLAMP, MIRROR, REPEAT, Material, Texture
 from genmf_mi.assets.part import Part, decode_image
 from genmf_mi.core import colour
 from genmf_mi.core.errors import AssetError
+from genmf_mi.core.text import printable
 
 MOST_PARTS = 2000
 """Objects on the build plate, components counted each time that they are used."""
@@ -37,7 +40,10 @@ def read(path: Path) -> list[Part]:
     _require_understood(path)
     _require_bounded(path)
     model: Any = get_wrapper().CreateModel()  # the generated bindings declare that it may be None
-    model.QueryReader("3mf").ReadFromFile(str(path))
+    with tempfile.TemporaryDirectory(prefix="genmf-") as folder:
+        # lib3mf takes names that are UTF-8 only
+        named = path if printable(str(path)) == str(path) else Path(shutil.copy(path, Path(folder) / "asset.3mf"))
+        model.QueryReader("3mf").ReadFromFile(str(named))
     parts, groups = [], {}
     items = model.GetBuildItems()
     while items.MoveNext():
@@ -150,7 +156,7 @@ def _object(path: Path, model, groups: dict, item, matrix: np.ndarray) -> list[P
                 material,
                 None if uv is None else np.array([uv[number] for number in ids]),
                 None if colours is None else np.array([colours[number] for number in ids], dtype=np.float32),
-                ((name,) if name else (),),
+                names=((name,) if name else (),),
             ).transformed(matrix)
         )
     return parts

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import pickle
 import warnings
 import zipfile
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from genmf_mi.assets.sdf_asset import SdfAsset
 from genmf_mi.core import colour
 from genmf_mi.core.errors import AssetError
 from genmf_mi.core.files import atomic
+from genmf_mi.core.text import printable
 from genmf_mi.mesh.nearest import distance_to_surface
 
 if TYPE_CHECKING:
@@ -28,6 +30,8 @@ FORMATS = (".npz", ".safetensors", ".pt")
 
 LARGEST = 1024**3
 """Bytes of all arrays in a file."""
+MOST_PACKED, UNSUSPICIOUS = 200, 128 * 1024**2
+"""How much an archive may be packed, and bytes up to which that does not matter."""
 _PICKLED = "holds pickled objects, which could run code when read. Save plain arrays only, see docs/generators.md."
 _MAX_DISTANCE = 0.05
 """Mean distance, as a share of the longest side, up to which a textured mesh is taken for the same object."""
@@ -58,11 +62,13 @@ def _built(path: Path, arrays: dict[str, np.ndarray], textured: str | Path | Ass
     if "coords" in arrays and "feats" in arrays:
         rotation = trellis.TO_Y_UP
         resolution = int(_scalar(path, arrays, "resolution", trellis.RESOLUTION))
-        shape = trellis.build(path.stem, arrays["coords"], arrays["feats"], resolution=resolution, source=path)
+        shape = trellis.build(
+            printable(path.stem), arrays["coords"], arrays["feats"], resolution=resolution, source=path
+        )
     elif "sdf" in arrays:
         rotation = instantmesh.TO_Y_UP
         shape = instantmesh.build(
-            path.stem,
+            printable(path.stem),
             arrays["sdf"],
             arrays.get("deformation"),
             arrays.get("weights"),
@@ -76,7 +82,7 @@ def _built(path: Path, arrays: dict[str, np.ndarray], textured: str | Path | Ass
             raise AssetError(f"{path}: centre must be three numbers.")
         x, y, z = map(float, centre)
         shape = SdfAsset(
-            path.stem,
+            printable(path.stem),
             arrays["phi"].astype(np.float32),
             _float32(arrays.get("deformation")),
             _float32(arrays.get("weights")),
@@ -155,28 +161,52 @@ def save(shape: SdfAsset, path: str | Path) -> Path:
 def _read_npz(path: Path) -> dict[str, np.ndarray]:
     if not zipfile.is_zipfile(path):
         raise AssetError(f"{path} is not an NPZ file. Write it with numpy.savez_compressed.")
+    _require_size(path)
+    arrays: dict[str, np.ndarray] = {}
+    with zipfile.ZipFile(path) as archive:
+        for member in archive.infolist():
+            if not member.filename.endswith(".npy"):
+                raise AssetError(f"{path} holds {member.filename}, which is no array. Save plain arrays only.")
+            with archive.open(member) as stream:
+                _require_header(path, member, stream)
+            with archive.open(member) as stream:
+                arrays[member.filename.removesuffix(".npy")] = np.lib.format.read_array(stream, allow_pickle=False)
+    return arrays
+
+
+def _require_size(path: Path) -> None:
+    """Raise :class:`AssetError` for an archive that would not fit, or that packs what no shape could be packed to."""
     with zipfile.ZipFile(path) as archive:
         size = sum(member.file_size for member in archive.infolist())
-    if size > LARGEST:
-        raise AssetError(f"{path} unpacks to {size / 1024**3:.1f} GB. Save the arrays of one shape only.")
-    with np.load(path, allow_pickle=False) as members:
-        try:
-            return {key: members[key] for key in members.files}
-        except ValueError as error:
-            if "allow_pickle" in str(error):
-                raise AssetError(f"{path} {_PICKLED}") from None
-            raise
+    if size > LARGEST or size > max(UNSUSPICIOUS, MOST_PACKED * path.stat().st_size):
+        raise AssetError(
+            f"{path}, of {path.stat().st_size / 1e6:.1f} MB, unpacks to {size / 1e6:.0f} MB. "
+            "Save the arrays of one shape only."
+        )
+
+
+def _require_header(path: Path, member: zipfile.ZipInfo, stream: IO[bytes]) -> None:
+    """Raise :class:`AssetError` for an array of objects, or one that tells another size than the archive has of it."""
+    version = np.lib.format.read_magic(stream)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read(stream)
+    if dtype.hasobject:
+        raise AssetError(f"{path} {_PICKLED}")
+    if math.prod(shape) * dtype.itemsize > member.file_size:
+        raise AssetError(f"{path} is damaged: {member.filename} is shorter than it tells. Write it again.")
 
 
 def _read_safetensors(path: Path) -> dict[str, np.ndarray]:
     from safetensors.torch import load_file
 
-    return {key: _array(tensor) for key, tensor in load_file(path).items()}
+    return {key: _array(path, tensor) for key, tensor in load_file(path).items()}
 
 
 def _read_pt(path: Path) -> dict[str, np.ndarray]:
     import torch
 
+    if zipfile.is_zipfile(path):
+        _require_size(path)
     try:
         with warnings.catch_warnings():  # about pickles of another kind than torch's own, which are refused below
             warnings.simplefilter("ignore")
@@ -186,15 +216,17 @@ def _read_pt(path: Path) -> dict[str, np.ndarray]:
     if not isinstance(content, dict):
         raise AssetError(f"{path} holds a {type(content).__name__}; it must be a dictionary of tensors.")
     return {
-        str(key): _array(value) if torch.is_tensor(value) else np.asarray(value)
+        str(key): _array(path, value) if torch.is_tensor(value) else np.asarray(value)
         for key, value in content.items()
         if torch.is_tensor(value) or isinstance(value, int | float)
     }
 
 
-def _array(tensor: Tensor) -> np.ndarray:
+def _array(path: Path, tensor: Tensor) -> np.ndarray:
     import torch
 
+    if tensor.numel() * tensor.element_size() > LARGEST:  # a few numbers can stand for all of a large tensor
+        raise AssetError(f"{path} holds a tensor of {tensor.numel()} numbers. Save the arrays of one shape only.")
     return (tensor.float() if tensor.dtype == torch.bfloat16 else tensor).detach().contiguous().numpy()
 
 

@@ -79,18 +79,21 @@ def load(
             tensors = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError) as error:
         raise WeightsError(f"{path} is damaged or no file of weights ({error}); get another copy.") from error
-    about = json.loads(header.get(KEY, "{}"))
-    if about.get("format") != FORMAT:
-        raise WeightsError(f"{path} holds no stress network that this program can read; train one again.")
-    if preset is not None and about["preset"] != preset:
-        raise WeightsError(f"{path} holds the network {about['preset']!r}, not {preset!r}; give the other one.")
-    about = {**about, **{name: with_current_names(about[name]) for name in ("architecture", "simulation")}}
-    if simulation is not None:
-        check_simulation(path, about["simulation"], simulation)
-    network = StressNetwork(Architecture(**about["architecture"]))
     try:
+        about = json.loads(header.get(KEY, "{}"))
+    except (ValueError, RecursionError):
+        about = {}
+    if not isinstance(about, dict) or about.get("format") != FORMAT:
+        raise WeightsError(f"{path} holds no stress network that this program can read; train one again.")
+    if preset is not None and about.get("preset") != preset:
+        raise WeightsError(f"{path} holds the network {about.get('preset')!r}, not {preset!r}; give the other one.")
+    try:
+        about = {**about, **{name: with_current_names(about[name]) for name in ("architecture", "simulation")}}
+        if simulation is not None:
+            check_simulation(path, about["simulation"], simulation)
+        network = StressNetwork(Architecture(**about["architecture"]))
         network.load_state_dict(tensors)
-    except RuntimeError as error:
+    except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
         raise WeightsError(f"{path} does not fit its own description; get another copy.") from error
     return network.eval().requires_grad_(False), about
 

@@ -70,6 +70,13 @@ def test_bad_weights(saved: tuple[Path, str], tmp_path: Path) -> None:
     save_file({"a": torch.zeros(1)}, path)
     with pytest.raises(WeightsError, match="no stress network"):
         weights.load(path)
+    for header in ("[1]", "{", "[" * 100_000):
+        save_file({"a": torch.zeros(1)}, path, {weights.KEY: header})
+        with pytest.raises(WeightsError, match="no stress network"):
+            weights.load(path)
+    save_file({"a": torch.zeros(1)}, path, {weights.KEY: json.dumps({"format": weights.FORMAT, "architecture": 3})})
+    with pytest.raises(WeightsError, match="does not fit"):
+        weights.load(path)
 
 
 def test_weights_that_do_not_fit_their_description(saved: tuple[Path, str]) -> None:
