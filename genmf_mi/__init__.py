@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from genmf_mi.batch.journal import BatchOutcome
     from genmf_mi.batch.task import Limits
     from genmf_mi.core.config import RefineConfig
+    from genmf_mi.core.regions import Regions, Stroke
     from genmf_mi.pipeline.evaluation import evaluate
     from genmf_mi.pipeline.print_check import print_check
     from genmf_mi.pipeline.refinement import refine
@@ -33,8 +34,10 @@ __all__ = [
     "BatchOutcome",
     "Limits",
     "RefineConfig",
+    "Regions",
     "Result",
     "SdfAsset",
+    "Stroke",
     "evaluate",
     "load",
     "print_check",
@@ -48,8 +51,10 @@ _DEFINED_IN = {
     "BatchOutcome": "genmf_mi.batch.journal",
     "Limits": "genmf_mi.batch.task",
     "RefineConfig": "genmf_mi.core.config",
+    "Regions": "genmf_mi.core.regions",
     "Result": "genmf_mi.pipeline.results",
     "SdfAsset": "genmf_mi.assets.sdf_asset",
+    "Stroke": "genmf_mi.core.regions",
     "evaluate": "genmf_mi.pipeline.evaluation",
     "load": "genmf_mi.assets.asset",
     "print_check": "genmf_mi.pipeline.print_check",

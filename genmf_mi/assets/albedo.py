@@ -79,12 +79,14 @@ class Material:
     """Base colour of some faces: ``factor`` (linear RGB) times the texture, if there is one.
 
     cutoff: opacity below which the faces are not seen; None where transparency is not meant. opacity: of the factor.
+    name: as the file has it, empty if it has none.
     """
 
     factor: tuple[float, float, float] = (1.0, 1.0, 1.0)
     texture: Texture | None = None
     cutoff: float | None = None
     opacity: float = 1.0
+    name: str = ""
 
 
 @dataclass(frozen=True, eq=False)

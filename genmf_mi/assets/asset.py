@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from genmf_mi.assets import maps
 from genmf_mi.assets.albedo import Albedo, Material, Texture
 from genmf_mi.assets.maps import Look, PlacedMaps
 from genmf_mi.assets.overlays import Overlay, outermost, split
-from genmf_mi.assets.part import Part, join, placed_maps
+from genmf_mi.assets.part import Names, Part, groups, join, placed_maps
 from genmf_mi.assets.reading import reading
 from genmf_mi.core.errors import AssetError, ConfigError, GenmfError
 from genmf_mi.core.text import printable
@@ -46,6 +46,9 @@ class Asset:
     source: the file that it was read from, or None.
     maps: normal, occlusion and emissive maps, of some faces each.
     notes: what was left out or mended on reading, a sentence each.
+    groups: what the file calls its parts: the names of an OBJ's objects and groups, of a glTF's nodes and meshes, of a
+        3MF's objects. A part may have several names, or none.
+    group: ``int64 [F]``, which of ``groups`` a face is in.
     """
 
     name: str
@@ -55,6 +58,8 @@ class Asset:
     source: Path | None = None
     maps: tuple[PlacedMaps, ...] = ()
     notes: tuple[str, ...] = ()
+    groups: tuple[Names, ...] = ((),)
+    group: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @classmethod
     def from_arrays(
@@ -106,7 +111,7 @@ class Asset:
         if np.ptp(used.reshape(-1, 3), axis=0).max() == 0:
             raise AssetError(f"{where} has no size: all its vertices are in one place. Export it again.")
         notes = tuple(dict.fromkeys(note for part in parts for note in part.notes))
-        return cls(printable(name), vertices, faces, albedo, source, placed, notes)
+        return cls(printable(name), vertices, faces, albedo, source, placed, notes, *groups(parts))
 
     @property
     def textured(self) -> bool:
@@ -149,6 +154,11 @@ class Asset:
 
     def _seen(self, points: np.ndarray, normals: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """The faces ``[N]`` that are seen at ``points``, and where on them, barycentric ``[N,3]``."""
+        index, closest = self.locate(points, normals)
+        return index, barycentric(self.vertices[self.faces[index]], closest)
+
+    def locate(self, points: np.ndarray, normals: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """The face ``[N]`` whose colour :meth:`closest_albedo` gives to each point, and the point ``[N,3]`` of it."""
         points = np.ascontiguousarray(points, dtype=np.float64)
         body, nearest, overlays = self._layers
         index, closest, _ = nearest.find(points)
@@ -160,7 +170,7 @@ class Asset:
             index, closest = outermost(
                 overlays, points, np.asarray(normals), below, self.vertices, self.faces, self.albedo
             )
-        return index, barycentric(self.vertices[self.faces[index]], closest)
+        return index, closest
 
     @cached_property
     def _layers(self) -> tuple[np.ndarray, Nearest, list[Overlay]]:

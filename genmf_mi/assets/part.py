@@ -24,6 +24,9 @@ _KINDS = ("PNG", "JPEG", "WEBP", "BMP", "TIFF", "TGA", "GIF", "PPM", "PSD", "DDS
 _ROWS = 256
 
 
+Names = tuple[str, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class Part:
     """Triangles that share a material.
@@ -31,6 +34,8 @@ class Part:
     vertices: ``float64 [V,3]``; faces: ``int64 [F,3]``.
     uv: ``[V,2]`` with v downwards, or None; colours: linear RGB ``[V,3]``, or None.
     maps: normal, occlusion and emissive maps. notes: what the reader left out or mended, a sentence each.
+    names: what the file calls groups of these faces, several names for a face that is in several.
+    group: ``int64 [F]``, which of ``names`` a face has; None if all have the first.
     """
 
     vertices: np.ndarray
@@ -40,6 +45,8 @@ class Part:
     colours: np.ndarray | None = None
     maps: Maps = NO_MAPS
     notes: tuple[str, ...] = ()
+    names: tuple[Names, ...] = ((),)
+    group: np.ndarray | None = None
 
     def transformed(self, matrix: np.ndarray) -> Part:
         """The part under an affine ``matrix [4,4]``; a mirroring one reverses the faces, so that they stay outwards."""
@@ -85,6 +92,16 @@ def placed_maps(parts: list[Part]) -> tuple[PlacedMaps, ...]:
         for i, part in enumerate(parts)
         if part.maps.present
     )
+
+
+def groups(parts: list[Part]) -> tuple[tuple[Names, ...], np.ndarray]:
+    """The distinct names of groups of faces of all parts together, and which of them each face has, ``int64 [F]``."""
+    found: dict[Names, int] = {}
+    rows: list[np.ndarray] = []
+    for part in parts:
+        numbers = np.array([found.setdefault(names, len(found)) for names in part.names], dtype=np.int64)
+        rows.append(numbers[np.zeros(len(part.faces), np.int64) if part.group is None else part.group])
+    return tuple(found), np.concatenate(rows)
 
 
 def decode_alpha(data: bytes) -> np.ndarray | None:

@@ -24,6 +24,8 @@ from genmf_mi.core.config import RefineConfig
 from genmf_mi.core.errors import ConfigError, GenmfError
 from genmf_mi.core.progress import Progress
 
+REGIONS_SUFFIX = ".regions.json"
+"""In place of an asset's suffix: what was painted on it."""
 UPLOAD_EVERY = 30.0
 """Seconds between two uploads of the journal, for an output folder behind a URL."""
 
@@ -100,13 +102,17 @@ def _work(config: RefineConfig, options: Mapping[str, Any]) -> Work:
 
 
 def _work_of(item: BatchItem, work: Work) -> Work:
-    """``work`` with the settings of the item. Raises :class:`ConfigError` that names the item."""
-    if not item.settings:
-        return work
+    """``work`` with the settings of the item, and with the strokes in NAME.regions.json beside its asset unless others
+    are named. Raises :class:`ConfigError` that names the item."""
     try:
-        return with_settings(work, item.settings)
+        own = with_settings(work, item.settings) if item.settings else work
     except ConfigError as error:
         raise ConfigError(f"{item}: {error}") from None
+    if own.config.regions is None and isinstance(item.asset, str | Path) and not storage.is_url(str(item.asset)):
+        painted = storage.path_of(str(item.asset)).with_suffix(REGIONS_SUFFIX)
+        if painted.is_file():
+            return replace(own, config=replace(own.config, regions=str(painted)))
+    return own
 
 
 def _executor(

@@ -185,7 +185,7 @@ def _refined(task: Task, path: Path, progress: Progress, *, resume: bool) -> dic
 
 def _fetched(task: Task, folder: Path) -> Task:
     """The task with everything that it reads on this machine."""
-    work = task.work
+    work = task.work.with_painted(lambda setting, file: str(_fetch(file, folder / setting)))
     textured = _fetch(work.textured, folder / "textured") if work.textured else None
     scene = _fetch(work.scene, folder / "scene") if work.scene else None
     references: list[str] = []

@@ -100,7 +100,7 @@ def key(asset: str | Asset | SdfAsset, work: Work) -> str:
 def _files(work: Work) -> list[str]:
     """The files that a piece of work needs besides the asset."""
     pictures = [text.rpartition("@")[0] for text in work.references]
-    return [place for place in (work.textured, work.scene, *pictures) if place]
+    return [place for place in (work.textured, work.scene, *pictures, *work.painted.values()) if place]
 
 
 def _content(asset: str | Asset | SdfAsset) -> str:

@@ -12,6 +12,7 @@ from genmf_mi.batch import storage
 from genmf_mi.batch.items import BatchItem, from_folder_of
 from genmf_mi.batch.work import FILES, setting_name
 from genmf_mi.core.errors import ConfigError
+from genmf_mi.core.regions import VERTEX_COLOURS
 
 ASSET, NAME = "asset", "name"
 """Columns that are no settings."""
@@ -96,7 +97,7 @@ def _item(where: str, row: Mapping[str, Any], folder: str) -> BatchItem:
     if not isinstance(asset, str):
         raise ConfigError(f"{where} lacks the {ASSET}: a file, a URL or the name of a sample.")
     for file in FILES:
-        if isinstance(value := settings.get(file), str):
+        if isinstance(value := settings.get(file), str) and value != VERTEX_COLOURS:
             settings[file] = ";".join(from_folder_of(folder, part) for part in value.split(";"))
         elif isinstance(value, list):
             settings[file] = [from_folder_of(folder, str(part)) for part in cast(list[Any], value)]

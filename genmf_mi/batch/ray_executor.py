@@ -162,7 +162,7 @@ def absolute(task: Task) -> Task:
         kept = storage.is_url(place) or is_sample(place)
         return place if kept else os.path.abspath(storage.path_of(place))
 
-    work = task.work
+    work = task.work.with_painted(lambda _, file: path(file))
     references = [text.rpartition("@") for text in work.references]
     work = replace(
         work,

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
 from functools import cache
+from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from genmf_mi.core.config import PRESETS, RefineConfig, Weights
 from genmf_mi.core.errors import ConfigError
+from genmf_mi.core.regions import VERTEX_COLOURS, Regions
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,21 @@ class Work:
         """All that decides the result, as plain types; where it is computed does not count."""
         options = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "config"}
         config = {name: value for name, value in self.config.to_dict().items() if name != "device"}
+        painted = self.config.regions
+        if isinstance(painted, Regions):
+            config["regions"] = painted.to_json()
         return {**config, **options, "references": list(self.references)}
+
+    @property
+    def painted(self) -> dict[str, str]:
+        """The files that say where there shall be more or less relief, by the setting that names them."""
+        named = {"regions": self.config.regions, "mask": self.config.mask}
+        return {key: str(one) for key, one in named.items() if isinstance(one, str | Path) and one != VERTEX_COLOURS}
+
+    def with_painted(self, change: Callable[[str, str], str]) -> Work:
+        """With what ``change(setting, file)`` gives in place of each of these files."""
+        changed: dict[str, Any] = {key: change(key, file) for key, file in self.painted.items()}
+        return replace(self, config=replace(self.config, **changed)) if changed else self
 
 
 _OPTIONS: dict[str, Any] = {
@@ -59,7 +75,7 @@ _OPTIONS: dict[str, Any] = {
     "slicer": str,
     "save_exr": bool,
 }
-FILES = ("textured", "scene", "reference")
+FILES = ("textured", "scene", "reference", "regions", "mask")
 """Settings that name files."""
 
 
@@ -67,7 +83,7 @@ FILES = ("textured", "scene", "reference")
 def known() -> dict[str, Any]:
     """Every setting that an item may have, and its type: those of the command ``refine``."""
     config = {name: hint for name, hint in get_type_hints(RefineConfig).items() if name != "weights"}
-    return {**_OPTIONS, **config, **get_type_hints(Weights)}
+    return {**_OPTIONS, **config, "regions": str, "mask": str, **get_type_hints(Weights)}
 
 
 def setting_name(name: str) -> str:

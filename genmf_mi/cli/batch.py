@@ -36,7 +36,8 @@ def batch(
     Run it again to continue after an interruption: finished runs are skipped, interrupted ones resumed from their
     checkpoints. A finished run of other settings counts as failed and is left alone. `outcomes.jsonl` in the output
     folder lists the outcomes as they come; `genmf-mi merge` makes a table and a gallery of them. Exit code 1 if any
-    failed. From a laptop to a cluster: docs/batch.md.
+    failed. Strokes in bus.regions.json beside bus.glb are its --regions, unless others are named. From a laptop to a
+    cluster: docs/batch.md.
 
     Args:
         assets: Files, URLs (s3://, gs:// ...), names of bundled samples, folders, patterns such as "scans/*.glb", and

@@ -14,6 +14,7 @@ import tyro
 from genmf_mi.cli.arguments import Switch
 from genmf_mi.core.config import PRESETS, RefineConfig
 from genmf_mi.core.errors import ConfigError
+from genmf_mi.core.regions import Regions
 
 SHOWN = ("loss", "grey_lpips", "ssim", "teacher_depth", "stress_band")
 """Loss terms beside the bar."""
@@ -68,6 +69,25 @@ class RefineArguments:
         }
 
 
+REGISTRY = tyro.constructors.ConstructorRegistry()
+"""How settings are read that are more than words."""
+
+
+@REGISTRY.primitive_rule
+def _files(info: tyro.constructors.PrimitiveTypeInfo) -> tyro.constructors.PrimitiveConstructorSpec[Any] | None:
+    """On the command line a file is named, whatever else Python takes in its place."""
+    metavar = {str | Path | Regions | None: "FILE.json", str | Path | None: "FILE"}.get(info.type)  # type: ignore[call-overload]
+    if metavar is None:
+        return None
+    return tyro.constructors.PrimitiveConstructorSpec(
+        nargs=1,
+        metavar=metavar,
+        instance_from_str=lambda words: words[0],
+        is_instance=lambda value: value is None or isinstance(value, str | Path | Regions),
+        str_from_instance=lambda value: [str(value)],
+    )
+
+
 def parse(arguments: list[str]) -> RefineArguments:
     """The arguments of ``genmf-mi refine``; the preset that they name sets the defaults of all other settings.
 
@@ -84,6 +104,7 @@ def parse(arguments: list[str]) -> RefineArguments:
         args=arguments,
         default=RefineArguments(asset=tyro.MISSING, config=preset),
         config=(tyro.conf.OmitArgPrefixes,),
+        registry=REGISTRY,
     )
 
 

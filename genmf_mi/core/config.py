@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from math import isfinite
+from pathlib import Path
 from typing import Any, Literal
 
 from genmf_mi.core.errors import ConfigError
 from genmf_mi.core.printer import PRINTERS, PrinterName
+from genmf_mi.core.regions import MASK_IMAGES, MASK_MESHES, VERTEX_COLOURS, Regions
+
+REGIONS_FILE, MASK_FILE = "regions.json", "mask"
+"""The copies of the strokes and, with the suffix of its file, of the mask in the folder of a run."""
 
 Stand = Literal["upright", "auto", "best", "upside-down", "on-back", "on-front", "on-left", "on-right"]
 """Ways of standing on the print bed; the front is the side at azimuth 0, and left is to the left of who looks at it."""
@@ -127,6 +132,18 @@ class RefineConfig:
     """How images of the part are fitted to the textured object in the loss: one exposure for all views, a robust gain
     and offset per view, or mean and variance per view as in the paper, which stretches the shading of plain areas until
     it varies as much as the paint. Scores are given with one exposure, and as the paper aligns."""
+    regions: str | Path | Regions | None = None
+    """Strokes painted on the object, a JSON file (docs/regions.md): where its surface stays flat, where the relief may
+    be stronger, and what matters most."""
+    mask: str | Path | None = None
+    """Where there may be relief: white for all of it, black for a flat surface. An image over the texture coordinates
+    of the asset, a GLB, PLY or 3MF in its pose with vertex colours, or vertex-colours for those of the asset itself."""
+    mask_fade_mm: float = 2.0
+    """Width of the strip beside what stays flat, or is stronger, in which the relief grows to its cap."""
+    flat_material: tuple[str, ...] = ()
+    """Names of materials, of a glTF or an OBJ, on which the surface stays flat."""
+    flat_faces: tuple[str, ...] = ()
+    """Names of objects and groups of an OBJ, of nodes and meshes of a glTF or of objects of a 3MF, likewise."""
     grain: float = 0.02
     """Contrast of the encoded texture below which it counts as grain, which would roughen the skin and is smoothed out
     of what the loss compares with; 0 keeps all of it."""
@@ -165,6 +182,14 @@ class RefineConfig:
         require(64 <= self.resolution <= 4096, f"resolution must be 64 to 4096 pixels, not {self.resolution}.")
         require(1 <= self.samples <= 4096, f"samples must be 1 to 4096, not {self.samples}.")
         require(0 <= self.seed < 2**32, f"seed must be 0 to {2**32 - 1}, not {self.seed}.")
+        require(
+            self.mask is None
+            or str(self.mask) == VERTEX_COLOURS
+            or Path(self.mask).suffix.lower() in MASK_IMAGES + MASK_MESHES,
+            f"the mask {self.mask} is of an unknown kind: use one of {', '.join(MASK_IMAGES + MASK_MESHES)}, or "
+            f"{VERTEX_COLOURS}.",
+        )
+        require(self.mask_fade_mm > 0, f"mask-fade-mm must be positive, not {self.mask_fade_mm:g}.")
         require(self.max_faces >= 1000, f"max-faces must be at least 1000, not {self.max_faces}.")
         require(self.learning_rate > 0, f"learning-rate must be positive, not {self.learning_rate:g}.")
         require(self.smoothing >= 0, f"smoothing cannot be negative ({self.smoothing:g}).")
@@ -198,8 +223,14 @@ class RefineConfig:
         return self.edge_mm or max(self.nozzle_mm, 1.2 * self.size_mm / self.resolution)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain types only, as written to ``config.yaml``."""
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
+        """Plain types only, as written to ``config.yaml``; of files the names of the copies that a run keeps."""
+        told = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(replace(self, regions=None)).items()}
+        if self.regions is not None:
+            told["regions"] = REGIONS_FILE
+        if self.mask is not None:
+            kept = MASK_FILE + Path(self.mask).suffix.lower()
+            told["mask"] = VERTEX_COLOURS if str(self.mask) == VERTEX_COLOURS else kept
+        return told
 
 
 PRESETS: dict[str, RefineConfig] = {

@@ -142,6 +142,12 @@ def atomic(path: str | Path) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
+def write_bytes(path: str | Path, content: bytes) -> None:
+    """Write ``content``, whole or not at all. Raises :class:`OutputError`."""
+    with atomic(path) as temporary:
+        temporary.write_bytes(content)
+
+
 def write_text(path: str | Path, text: str) -> None:
     """Write ``text`` as UTF-8, whole or not at all; what is no Unicode, in the names of files, becomes a question mark.
     Raises :class:`OutputError`."""

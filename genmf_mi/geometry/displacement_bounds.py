@@ -52,7 +52,7 @@ def displacement_bounds(
     vertices: np.ndarray,
     faces: np.ndarray,
     normals: np.ndarray,
-    cap: float,
+    cap: float | np.ndarray,
     wall: float,
     free_ray_distance: Callable[[np.ndarray, np.ndarray], np.ndarray],
     up: Up = UPRIGHT,
@@ -61,7 +61,8 @@ def displacement_bounds(
 
     Args:
         vertices, normals: ``[V,3]``, the normals of unit length. faces: ``[F,3]``.
-        cap: the largest relief; wall: the wall thickness that must remain. Both in the unit of the vertices.
+        cap: the largest relief, one for all vertices or ``[V]``. wall: the wall thickness that must remain. Both in the
+            unit of the vertices.
         free_ray_distance: from points and unit directions ``[N,3]`` to the distance ``[N]`` of the next surface, inf
             where there is none.
         up: unit vector away from the print bed.

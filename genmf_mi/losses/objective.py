@@ -11,6 +11,7 @@ from genmf_mi.core.config import Weights
 from genmf_mi.losses import appearance, geometry, perceptual
 from genmf_mi.losses.alignment import Alignment
 from genmf_mi.losses.bilateral import bilateral
+from genmf_mi.losses.emphasis import Emphasis
 from genmf_mi.render.bridge import Buffers
 
 MARGIN = 12
@@ -20,7 +21,12 @@ SMALLEST = 48
 
 
 def terms(
-    part: Buffers, reference: Buffers, weights: Weights, alignment: Alignment, grain: float = 0.0
+    part: Buffers,
+    reference: Buffers,
+    weights: Weights,
+    alignment: Alignment,
+    grain: float = 0.0,
+    emphasis: Emphasis | None = None,
 ) -> dict[str, Tensor]:
     """The terms of the images that have a weight, unweighted, by the names of :class:`Weights`.
 
@@ -31,6 +37,7 @@ def terms(
         part: the render being improved; without geometry buffers only its appearance is judged.
         reference: the textured object at the same rays; its depth and normals are the teacher's.
         alignment: of the part to the reference. grain: contrast below which the reference is smoothed.
+        emphasis: what of the appearance counts; all of it if None.
     """
     window = _window(reference.geometry[2])
     part, reference = part.crop(window), reference.crop(window)
@@ -39,6 +46,8 @@ def terms(
     aligned, target = alignment(part.grey, coverage, reference.grey, mask)
     if grain > 0:
         target = bilateral(target, mask, grain)
+    if emphasis is not None:
+        aligned = emphasis.crop(window)(aligned, target)
     by_name = {
         "grey_l1": lambda: appearance.grey_l1(aligned, target, mask),
         "grey_lpips": lambda: perceptual.lpips(aligned, target).mean(),

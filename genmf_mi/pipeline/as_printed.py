@@ -153,18 +153,21 @@ def paint_of(problem: RefinementProblem) -> Tensor:
 
 
 def scores(
-    parts: Mapping[str, PrintedViews], networks: tuple[Network, ...] = ("alex",), view: int | None = None
+    parts: Mapping[str, PrintedViews],
+    networks: tuple[Network, ...] = ("alex",),
+    view: int | None = None,
+    wanted: Tensor | None = None,
 ) -> dict[str, Any]:
     """:meth:`Scorer.verdicts` of printed parts by lighting; ``before`` has been looked at as the target.
 
-    view: the only one to score; all of them if None.
+    view: the only one to score; all of them if None. wanted: ``[B,1,H,W]``, see :class:`Scorer`.
     """
     chosen = slice(None) if view is None else slice(view, view + 1)
     table: dict[str, Any] = {}
     for light in (TWO_LIGHTS, LAMPS):
         painted, plain = (parts["before"].pictures[key].of(chosen) for key in (light + PAINTED, light))
-        scorer = Scorer(painted.grey, painted.coverage, networks)
-        alignment = Alignment.fit(plain.grey, plain.coverage, painted.grey, painted.coverage)
+        scorer = Scorer(painted.grey, painted.coverage, networks, None if wanted is None else wanted[chosen])
+        alignment = Alignment.fit(plain.grey, plain.coverage, painted.grey, scorer.compared)
         shown = {name: part.pictures[light].of(chosen) for name, part in parts.items()}
         table[light] = scorer.verdicts(shown, alignment)
     return table

@@ -76,7 +76,7 @@ def _predicted(problem: RefinementProblem, evaluator: Evaluator, heights: np.nda
     look = replace(evaluator)  # the object that it compares with stands as the part does
     shapes = surface.vertices, surface.vertices + heights[:, None] * surface.normals
     before, after = (look.render(torch.as_tensor(v, dtype=torch.float32, device=look.device)) for v in shapes)
-    alignment = Alignment.fit(before.grey, before.geometry[2], look.target_grey, look.mask)
+    alignment = Alignment.fit(before.grey, before.geometry[2], look.target_grey, look.scorer.compared)
     images = {name: look.align(shown, alignment) for name, shown in (("before", before), ("after", after))}
     table = look.scorer.lpips(images, "alex")
     part.stand(stood)

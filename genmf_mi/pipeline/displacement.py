@@ -40,11 +40,11 @@ def heights(problem: RefinementProblem, amplitude: float) -> np.ndarray:
     """``[V]`` normalised units: brightness about its median, its :func:`span` twice ``amplitude`` times the bounds, cut
     off at the bounds. An object of one brightness stays as it is."""
     brightness = problem.surface.brightness
-    low, high = span(brightness)
+    low, high = span(brightness[problem.relief])
     if high - low < ONE_BRIGHTNESS:
         return np.zeros(len(brightness))
     brightness = np.clip((brightness - low) / (high - low), 0, 1)
-    share = np.clip(2 * amplitude * (brightness - np.median(brightness)), -1, 1)
+    share = np.clip(2 * amplitude * (brightness - np.median(brightness[problem.relief])), -1, 1)
     return share * np.where(share > 0, problem.loose_bounds.outward, problem.loose_bounds.inward)
 
 

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from genmf_mi.losses.alignment import Alignment
 from genmf_mi.losses.lpips_weights import Network
+from genmf_mi.pipeline.region_images import RegionImages
 from genmf_mi.pipeline.scoring import Pictured, Scorer
 from genmf_mi.render import bridge
 from genmf_mi.render.scene import Scene, View
@@ -42,6 +43,7 @@ class Evaluator:
     """Scores parts against one reference from one set of views.
 
     alignment: see :func:`build_evaluator`. networks: which LPIPS networks to report. samples: rays per pixel.
+    regions: where relief is wanted; everywhere if None.
     """
 
     reference: Reference
@@ -50,13 +52,15 @@ class Evaluator:
     alignment: Alignment
     networks: tuple[Network, ...] = ("alex",)
     samples: int = SAMPLES
+    regions: RegionImages | None = None
 
     @torch.no_grad()
     def __post_init__(self) -> None:
         self.reference.scene.shade_as(self.scene)  # iterations may have rendered it smaller, and without layers
         target = self.reference.render(self.views, seed=SEED, samples=self.samples)
         _, _, mask = target.geometry
-        self.scorer = Scorer(target.grey, mask, self.networks)
+        wanted = self.regions.emphasis(self.views, mask.device).wanted if self.regions else None
+        self.scorer = Scorer(target.grey, mask, self.networks, wanted)
 
     @property
     def target_grey(self) -> Tensor:
@@ -106,13 +110,19 @@ class Evaluator:
 
 @torch.no_grad()
 def build_evaluator(
-    reference: Reference, part: Scene, networks: tuple[Network, ...], vertices: Tensor | None = None
+    reference: Reference,
+    part: Scene,
+    networks: tuple[Network, ...],
+    vertices: Tensor | None = None,
+    regions: RegionImages | None = None,
 ) -> Evaluator:
     """The evaluator of the standard views, with one exposure for all parts and all views.
 
     vertices: ``[V,3]`` of the part before its refinement; None if ``part`` still holds it.
+    regions: see :class:`Evaluator`.
     """
-    evaluator = Evaluator(reference, part, reference.views, Alignment(), networks)
+    evaluator = Evaluator(reference, part, reference.views, Alignment(), networks, regions=regions)
     shown = bridge.render(part, reference.views, vertices, seed=SEED, samples=SAMPLES)
-    evaluator.alignment = Alignment.fit(shown.grey, shown.geometry[2], evaluator.target_grey, evaluator.mask)
+    compared = evaluator.scorer.compared
+    evaluator.alignment = Alignment.fit(shown.grey, shown.geometry[2], evaluator.target_grey, compared)
     return evaluator

@@ -190,7 +190,9 @@ def step(optimisation: Optimisation) -> dict[str, float]:
         scene, mm = problem.training.part, problem.frame.mm_per_unit
         image, reference = shadowed(image, scene, view, mm), shadowed(reference, scene, view, mm)
 
-    terms = objective.terms(image, reference, config.weights, optimisation.alignment, config.grain)
+    regions = problem.region_images
+    emphasis = regions.emphasis([view], image.grey.device) if regions else None
+    terms = objective.terms(image, reference, config.weights, optimisation.alignment, config.grain, emphasis)
     terms |= objective.with_weight(geometry.terms, config.weights)
     weights, figures = asdict(config.weights), {}
     if optimisation.extra_terms:

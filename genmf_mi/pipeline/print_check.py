@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from PIL.Image import Image
+from torch import Tensor
 
 from genmf_mi.assets import samples
 from genmf_mi.assets.asset import Asset, load
@@ -123,7 +124,7 @@ def check_shapes(
     paint = paint_of(problem)
     parts = {name: gate.look(name, *shape, paint if name == "before" else None) for name, shape in shapes.items()}
     progress.stage("scoring as printed")
-    metrics = {**_said(parts, printer_name), **scores(parts)}
+    metrics = {**_said(parts, printer_name), **scores(parts, wanted=_wanted(problem))}
     painted = {light: parts["before"].pictures[light + PAINTED] for light in LIGHTS}
     index = Scorer(painted[TWO_LIGHTS].grey, painted[TWO_LIGHTS].coverage, ()).most_telling
     rows = {
@@ -190,6 +191,15 @@ def print_check(
         surface = problem.surface
         shapes = {"before": (surface.vertices, surface.faces), "after": (vertices, faces)}
         return check_shapes(problem, shapes, printer, slicer, xml, Path(folder), progress)
+
+
+def _wanted(problem: RefinementProblem) -> Tensor | None:
+    """Where relief is wanted in the standard views, at the resolution of the scores; None if everywhere."""
+    if problem.region_images is None:
+        return None
+    pair = problem.evaluation
+    pair.reference.scene.shade_as(pair.part)
+    return problem.region_images.emphasis(pair.reference.views).wanted
 
 
 def _said(parts: Mapping[str, PrintedViews], printer: str) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from genmf_mi.assets.asset import Asset
 from genmf_mi.assets.maps import Look
 from genmf_mi.assets.sdf_asset import SdfAsset
 from genmf_mi.core.config import RefineConfig
-from genmf_mi.core.errors import AssetError, SolidError
+from genmf_mi.core.errors import AssetError, ConfigError, SolidError
 from genmf_mi.core.frame import Frame, Up
 from genmf_mi.core.printer import PRINTERS
 from genmf_mi.core.progress import Progress
@@ -26,11 +25,13 @@ from genmf_mi.geometry.plain_areas import relief_cap
 from genmf_mi.geometry.sdf import SdfParameterization
 from genmf_mi.mesh import solid, topology
 from genmf_mi.mesh.manifold import is_solid
-from genmf_mi.mesh.measures import signed_volume
+from genmf_mi.mesh.measures import signed_volume, vertex_normals
 from genmf_mi.mesh.remesh import shortest_edge
 from genmf_mi.pipeline import evaluator
 from genmf_mi.pipeline.detail import DETAIL_MM, FULL_CONTRAST, SOFT, crispness, local_contrast, local_range
 from genmf_mi.pipeline.poses import Pose, named, pose
+from genmf_mi.pipeline.region_images import RegionImages
+from genmf_mi.pipeline.regions import AssetRegions, RegionField
 from genmf_mi.pipeline.surface import InitialSurface, initial_surface
 from genmf_mi.render import bridge, target
 from genmf_mi.render import scene as scenes
@@ -72,8 +73,9 @@ class RefinementProblem:
         which is resized for either.
     low_pass: of :data:`DETAIL_MM` on the surface, on the CPU. detail: ``[V]``, by how much what is seen differs from
         its low-frequency component.
-    contrast: :func:`local_contrast` of that; cap_mm: the cap that it permits.
+    contrast: :func:`local_contrast` of that where there may be relief; cap_mm: the cap that it permits.
     report: what was done to make the part solid. pose: how it stands on the bed.
+    regions: what is asked for at each vertex, and images of that; None where nothing is.
     """
 
     asset: Asset | SdfAsset
@@ -89,6 +91,13 @@ class RefinementProblem:
     cap_mm: float
     report: dict[str, Any]
     pose: Pose
+    regions: RegionField | None = None
+    region_images: RegionImages | None = None
+
+    @property
+    def relief(self) -> np.ndarray:
+        """``bool [V]``: where the surface may move at all."""
+        return np.ones(len(self.surface.vertices), bool) if self.regions is None else self.regions.relief
 
 
 def build_problem(
@@ -98,6 +107,7 @@ def build_problem(
     folder: Path,
     *,
     references: tuple[str, ...] = (),
+    regions: AssetRegions | None = None,
     progress: Progress | None = None,
     timer: Timer | None = None,
 ) -> RefinementProblem:
@@ -108,9 +118,11 @@ def build_problem(
     Args:
         xml: scene file. folder: for the PLY files that Mitsuba reads.
         references: pictures to match instead of the texture, ``image.png@azimuth,elevation``.
+        regions: where there shall be more or less relief, see :func:`genmf_mi.pipeline.regions.of_asset`.
 
     Raises:
         AssetError: no texture and no reference pictures.
+        ConfigError: all of the surface shall be flat.
         SolidError: the asset cannot be made solid.
         SceneError: the scene file cannot be used.
     """
@@ -136,7 +148,7 @@ def build_problem(
         body = solid.solidify(asset.name, asset.vertices, asset.matter)
         timer.lap("solid")
         progress.stage("meshing")
-        body = mesh_finely(asset, body, config)
+        body = mesh_finely(asset, body, config, regions)
         timer.lap("remesh")
 
     progress.stage("building scenes")
@@ -144,38 +156,37 @@ def build_problem(
     posed = pose(config.stand, frame.normalise(body.vertices), body.faces)
     frame = frame.standing(posed.up)
     surface, training, evaluation = build_scenes(asset, body, frame, config, xml, folder, pictures)
+    field = None if regions is None else regions.on(body.vertices, surface.faces, surface.normals, frame)
+    if field is not None and not field.relief.any():
+        raise ConfigError("all of the surface is to stay flat, so there is no relief to make. Leave some of it free.")
     low_pass = LowPass(surface.vertices, surface.faces, DETAIL_MM / frame.mm_per_unit)
     detail = surface.contrast(low_pass)
-    contrast = local_contrast(detail)
+    contrast = local_contrast(detail if field is None else detail[field.relief])
     cap_mm = config.max_relief_mm * (1.0 if references else min(1.0, contrast / FULL_CONTRAST))
-    bounds, loose = bounds_of(surface, frame, training, cap_mm, config.nozzle_mm)
+    bounds, loose = bounds_of(surface, frame, training, cap_mm, config.nozzle_mm, field)
+    images = None if field is None else RegionImages(training.reference.scene, surface.faces, field)
     timer.lap("scenes")
     return RefinementProblem(
-        asset,
-        frame,
-        surface,
-        bounds,
-        loose,
-        training,
-        evaluation,
-        low_pass,
-        detail,
-        contrast,
-        cap_mm,
-        body.report,
-        posed,
-    )
+        asset, frame, surface, bounds, loose, training, evaluation, low_pass, detail, contrast, cap_mm, body.report,
+        posed, field, images,
+    )  # fmt: skip
 
 
 def bounds_of(
-    surface: InitialSurface, frame: Frame, training: ScenePair, cap_mm: float, nozzle_mm: float
+    surface: InitialSurface,
+    frame: Frame,
+    training: ScenePair,
+    cap_mm: float,
+    nozzle_mm: float,
+    regions: RegionField | None = None,
 ) -> tuple[DisplacementBounds, DisplacementBounds]:
     """``bounds`` and ``loose_bounds`` of a :class:`RefinementProblem`."""
+    share = np.ones(len(surface.vertices)) if regions is None else regions.cap
     loose = displacement_bounds(
         surface.vertices,
         surface.faces,
         surface.normals,
-        cap_mm / frame.mm_per_unit,
+        share * (cap_mm / frame.mm_per_unit),
         2 * nozzle_mm / frame.mm_per_unit,
         lambda points, directions: bridge.free_ray_distance(training.part.scene, points, directions),
         frame.up,
@@ -183,7 +194,7 @@ def bounds_of(
     if training.reference.pictures:
         return loose, loose
     points = surface.vertices * frame.mm_per_unit
-    return loose.capped(relief_cap(points, surface.signals, cap_mm) / frame.mm_per_unit), loose
+    return loose.capped(share * relief_cap(points, surface.signals, cap_mm) / frame.mm_per_unit), loose
 
 
 def standing(problem: RefinementProblem, up: Up, config: RefineConfig) -> RefinementProblem:
@@ -192,25 +203,36 @@ def standing(problem: RefinementProblem, up: Up, config: RefineConfig) -> Refine
         return problem
     frame = problem.frame.standing(up)
     problem.evaluation.part.stand(up)
-    bounds, loose = bounds_of(problem.surface, frame, problem.training, problem.cap_mm, config.nozzle_mm)
+    bounds, loose = bounds_of(
+        problem.surface, frame, problem.training, problem.cap_mm, config.nozzle_mm, problem.regions
+    )
     unsteady = len(base(problem.surface.vertices, problem.surface.faces, up)) == 0
     posed = replace(problem.pose, name=named(np.array(up))[0], up=up, unsteady=unsteady)
     return replace(problem, frame=frame, bounds=bounds, loose_bounds=loose, pose=posed)
 
 
-def mesh_finely(asset: Asset, body: solid.Solid, config: RefineConfig) -> solid.Solid:
+def mesh_finely(
+    asset: Asset, body: solid.Solid, config: RefineConfig, regions: AssetRegions | None = None
+) -> solid.Solid:
     """The solid in small triangles, smaller ones along the edges of the texture and larger ones elsewhere.
 
     Even triangles serve a texture without crisp edges best, a small budget, and an object whose target is not its
-    texture.
+    texture. Where the surface stays flat, texture calls for no small triangles.
     """
     frame = Frame.of(body.vertices, config.size_mm)
+
+    def importance(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+        contrast = local_range(asset, vertices, faces)
+        if regions is None:
+            return contrast
+        return contrast * regions.on(vertices, faces, vertex_normals(vertices, faces), frame).of_faces(faces)
+
     mm = 1 / (frame.mm_per_unit * frame.scale)
     few = round(COARSE_SHARE * config.max_faces)
     if asset.textured and shortest_edge(body.vertices, body.faces, few) <= COARSEST_MM * mm:
         coarse = solid.remesh(body, config.mesh_edge_mm * mm, few)
-        if crispness(coarse.vertices, coarse.faces, local_range(asset, coarse.vertices, coarse.faces)) > SOFT:
-            return solid.refine(coarse, body, partial(local_range, asset), config.max_faces, config.nozzle_mm / 2 * mm)
+        if crispness(coarse.vertices, coarse.faces, importance(coarse.vertices, coarse.faces)) > SOFT:
+            return solid.refine(coarse, body, importance, config.max_faces, config.nozzle_mm / 2 * mm)
     return solid.remesh(body, config.mesh_edge_mm * mm, config.max_faces)
 
 

@@ -30,7 +30,7 @@ from genmf_mi.core.progress import Progress
 from genmf_mi.core.timer import Timer
 from genmf_mi.losses import lpips_weights
 from genmf_mi.mesh.self_intersections import self_intersections
-from genmf_mi.pipeline import build_direction, stress_stage
+from genmf_mi.pipeline import build_direction, regions, stress_stage
 from genmf_mi.pipeline.build_direction import Candidate
 from genmf_mi.pipeline.displacement import Displacement, best_displacement, initial_heights
 from genmf_mi.pipeline.evaluator import Evaluator, build_evaluator
@@ -38,6 +38,7 @@ from genmf_mi.pipeline.optimisation import ExtraTerms, Optimisation, iterations,
 from genmf_mi.pipeline.preview import Preview
 from genmf_mi.pipeline.print_check import check_shapes, printer_named
 from genmf_mi.pipeline.problem import ONE_BRIGHTNESS, RefinementProblem, build_problem, parameterize, standing
+from genmf_mi.pipeline.regions import AssetRegions
 from genmf_mi.pipeline.results import Outcome, Result, conclude, shapes_of
 from genmf_mi.pipeline.run_folder import PREVIEW, RunFolder, fingerprint
 from genmf_mi.printing.printed import require_bed
@@ -96,15 +97,14 @@ def refine(
         device = variant.use(config.device)
         lpips_weights.require(*config.networks)
         xml = Path(scene) if scene else scene_file.find(asset.name)
+        config, shape, painted = asked(asset, config, up, out if resume else None)
         run = stack.enter_context(opened(out, asset, config, xml, references, force=force, resume=resume))
         timer.lap("load")
 
-        problem = build_problem(asset, config, xml, Path(folder), references=references, progress=progress, timer=timer)
-        _require_detail(problem)
-        progress.stage("rendering the references")
-        evaluator = build_evaluator(problem.evaluation.reference, problem.evaluation.part, config.networks)
-        displacement = best_displacement(problem, evaluator, progress)
-        problem, evaluator, displacement, stands = stood(problem, evaluator, displacement, config, progress)
+        problem = build_problem(
+            shape, config, xml, Path(folder), references=references, regions=painted, progress=progress, timer=timer
+        )
+        problem, evaluator, displacement, stands = displaced(problem, config, progress)
         parameterization = parameterize(problem, config, device)
         timer.lap("displacement")
 
@@ -113,20 +113,40 @@ def refine(
         optimisation = Optimisation(problem, config, parameterization, alignment, stress, extra_terms)
         interrupted, state = refined(optimisation, displacement, evaluator, run, progress, resume=resume)
         timer.lap("optimise")
-        names = () if interrupted or not verify else SHAPES if verify is True else tuple(verify)
-        simulated, unconstrained = verified(optimisation, state, names, progress, timer)
+        simulated, unconstrained = verified(optimisation, state, () if interrupted else verify, progress, timer)
 
         progress.stage("checking for self-intersections")
         surface = parameterization.finish(state, self_intersections)
         timer.lap("untangle")
         outcome = Outcome(
-            problem, config, evaluator, displacement, surface, optimisation.history, interrupted, left_out,
-            simulated, unconstrained, stands,
+            problem, config, evaluator, displacement, surface, optimisation.history, interrupted, left_out, simulated,
+            unconstrained, stands,
         )  # fmt: skip
         if print_check and not interrupted:
             outcome = as_printed(outcome, print_check, xml, Path(folder), progress)
             timer.lap("print")
         return conclude(outcome, run, timer, progress, save_exr=save_exr)
+
+
+def asked(
+    asset: Asset | SdfAsset, config: RefineConfig, up: str | None, resumed: str | Path | None
+) -> tuple[RefineConfig, Asset | SdfAsset, AssetRegions | None]:
+    """The settings, with the regions of the run in the folder ``resumed`` if they have none of their own, and
+    :func:`genmf_mi.pipeline.regions.of_asset` for them."""
+    config = regions.resumed(config, RunFolder(Path(resumed))) if resumed else config
+    return config, *regions.of_asset(asset, config, up)
+
+
+def displaced(
+    problem: RefinementProblem, config: RefineConfig, progress: Progress
+) -> tuple[RefinementProblem, Evaluator, Displacement, list[Candidate]]:
+    """What scores parts, the best displacement, and :func:`stood` for them. Raises :class:`AssetError` for a texture of
+    one brightness."""
+    _require_detail(problem)
+    progress.stage("rendering the references")
+    pair = problem.evaluation
+    evaluator = build_evaluator(pair.reference, pair.part, config.networks, regions=problem.region_images)
+    return stood(problem, evaluator, best_displacement(problem, evaluator, progress), config, progress)
 
 
 def stood(
@@ -150,7 +170,8 @@ def stood(
         return problem, evaluator, displacement, stands
     problem = standing(problem, best.up, config)
     pair, vertices = problem.evaluation, torch.as_tensor(problem.surface.vertices, dtype=torch.float32)
-    evaluator = build_evaluator(pair.reference, pair.part, config.networks, vertices.to(evaluator.device))
+    vertices = vertices.to(evaluator.device)
+    evaluator = build_evaluator(pair.reference, pair.part, config.networks, vertices, problem.region_images)
     return problem, evaluator, best_displacement(problem, evaluator, progress), stands
 
 
@@ -175,7 +196,9 @@ def opened(
     pictures = [Path(text.rpartition("@")[0]) for text in references]
     turns = [text.rpartition("@")[2] for text in references]
     inputs = {"asset": fingerprint(asset), "scene": fingerprint(xml), "references": fingerprint(pictures, turns)}
-    run = RunFolder.open(out, asset.name, config, inputs, force=force, resume=resume)
+    copies = regions.copies(config)
+    inputs |= regions.fingerprints(copies)
+    run = RunFolder.open(out, asset.name, config, inputs, copies=copies, force=force, resume=resume)
     with run.resumable():
         yield run
 
@@ -197,7 +220,8 @@ def _require(
 
 def _require_detail(problem: RefinementProblem) -> None:
     """Raise :class:`AssetError` for a texture of one brightness, of which no relief would come."""
-    if not problem.training.reference.pictures and np.ptp(problem.surface.signals, axis=0).max() < ONE_BRIGHTNESS:
+    signals = problem.surface.signals[problem.relief]
+    if not problem.training.reference.pictures and np.ptp(signals, axis=0).max() < ONE_BRIGHTNESS:
         raise AssetError(
             f"the texture of {problem.asset.name} has one brightness all over, so there is nothing for the relief to "
             "show. Give pictures of it with --reference image.png@azimuth,elevation."
@@ -237,7 +261,7 @@ def as_printed(outcome: Outcome, slicer: str | bool, xml: Path, folder: Path, pr
 
 
 def verified(
-    optimisation: Optimisation, state: Any, names: Collection[str], progress: Progress, timer: Timer
+    optimisation: Optimisation, state: Any, verify: bool | Collection[str], progress: Progress, timer: Timer
 ) -> tuple[dict[str, Any], tuple[np.ndarray, np.ndarray] | None]:
     """Simulate the part before, without the stress stage and after, as far as these are named.
 
@@ -246,6 +270,7 @@ def verified(
         without the stress stage, None if it was not asked for or is the same as with it.
     """
     problem, config = optimisation.problem, optimisation.config
+    names = SHAPES if verify is True else tuple(verify or ())
     shapes = {"before": (problem.surface.vertices, problem.surface.faces)}
     unconstrained = None
     if optimisation.stage_one is not None and "unconstrained" in names:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from PIL.Image import Image
 from torch import Tensor
 
 from genmf_mi.core import memory
@@ -21,6 +22,7 @@ from genmf_mi.fabrication.checks import check, pieces
 from genmf_mi.geometry.parameterization import RefinedSurface
 from genmf_mi.geometry.plain_areas import is_plain
 from genmf_mi.mesh.measures import vertex_areas
+from genmf_mi.pipeline import regions
 from genmf_mi.pipeline.build_direction import Candidate
 from genmf_mi.pipeline.displacement import Displacement
 from genmf_mi.pipeline.evaluator import Evaluator, unseen_views
@@ -31,6 +33,7 @@ from genmf_mi.pipeline.surface import seen_at, signals
 from genmf_mi.render import bridge
 from genmf_mi.render.exr import write_buffers
 from genmf_mi.report import Report, View, write_before_after, write_report
+from genmf_mi.report.regions import region_picture
 
 Shapes = dict[str, tuple[Tensor, Tensor]]
 """By name: vertices ``[V,3]`` in the normalised frame and faces ``[F,3]``."""
@@ -207,6 +210,10 @@ def metrics_of(outcome: Outcome, scores: dict[str, Any], part_mm: np.ndarray) ->
         metrics["pieces"] = apart
     if problem.asset.notes:
         metrics["asset_notes"] = list(problem.asset.notes)
+    if problem.regions is not None:
+        metrics["regions"] = regions.told(
+            problem.regions, problem.surface.vertices, problem.surface.faces, surface.foot, distance, problem.frame
+        ) | {"fade_mm": outcome.config.mask_fade_mm}
     if outcome.verification:
         metrics["stress"] = outcome.verification
     if outcome.printed:
@@ -214,6 +221,20 @@ def metrics_of(outcome: Outcome, scores: dict[str, Any], part_mm: np.ndarray) ->
     if outcome.stress_stage_left_out:
         metrics["stress_stage_left_out"] = outcome.stress_stage_left_out
     return metrics | {"iterations": len(outcome.history), "interrupted": outcome.interrupted}
+
+
+def region_pictures(outcome: Outcome, before: bridge.Buffers) -> dict[str, Image]:
+    """What was painted on the part, by standard view; ``before`` shows it as it was."""
+    images, scorer = outcome.problem.region_images, outcome.evaluator
+    if images is None:
+        return {}
+    scorer.reference.scene.shade_as(scorer.scene)
+    coverage = before.geometry[2]
+    return {
+        view.label: region_picture(before.grey[i, 0].cpu().numpy(), coverage[i, 0].cpu().numpy(), *(m[i] for m in maps))
+        for maps in [images.maps(scorer.views)]
+        for i, view in enumerate(scorer.views)
+    }
 
 
 def stood(outcome: Outcome) -> dict[str, Any]:
@@ -295,6 +316,7 @@ def write_pictures(
         original=surface.foot,
         as_printed=outcome.printed.rows if outcome.printed else {},
         as_printed_names=outcome.printed.names if outcome.printed else [],
+        regions=region_pictures(outcome, buffers["before"]),
     )
     write_report(folder / REPORT, report)
     if save_exr:

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from genmf_mi.core.config import RefineConfig
+from genmf_mi.core.config import MASK_FILE, REGIONS_FILE, RefineConfig
 from genmf_mi.core.errors import ConfigError, OutputError
-from genmf_mi.core.files import claim_folder, sweep, write_text, written
+from genmf_mi.core.files import claim_folder, sweep, write_bytes, write_text, written
+from genmf_mi.core.regions import MASK_IMAGES, MASK_MESHES
 from genmf_mi.fabrication.files import COLOURED_GLB, PRINT_3MF, PRINT_STL
 
 if TYPE_CHECKING:
@@ -23,7 +24,9 @@ if TYPE_CHECKING:
 
 CONFIG, HISTORY, CHECKPOINT, METRICS = "config.yaml", "metrics.jsonl", "checkpoint.pt", "metrics.json"
 PREVIEW, BEFORE_AFTER, REPORT, AS_PRINTED = "preview.png", "before_after.png", "report.html", "as_printed.png"
+MASKS = tuple(MASK_FILE + suffix for suffix in MASK_IMAGES + MASK_MESHES)
 FILES = (
+    REGIONS_FILE, *MASKS,
     CONFIG, HISTORY, CHECKPOINT, METRICS, PREVIEW, BEFORE_AFTER, REPORT, AS_PRINTED, PRINT_3MF, PRINT_STL, COLOURED_GLB,
 )  # fmt: skip
 EXR = "exr"
@@ -60,12 +63,14 @@ class RunFolder:
         config: RefineConfig,
         inputs: Mapping[str, str] | None = None,
         *,
+        copies: Mapping[str, bytes] | None = None,
         force: bool,
         resume: bool,
     ) -> RunFolder:
         """Claim a folder for a new run, or an interrupted one for its continuation.
 
         inputs: what the run depends on besides its settings, as :func:`fingerprint` by name.
+        copies: of files that the run keeps beside its settings, by their names.
 
         Raises:
             OutputError: the folder holds a run already, or files of somebody else that the run would replace, cannot be
@@ -102,8 +107,10 @@ class RunFolder:
             grown.discard()
             folder = grown
         write_text(folder.path / CONFIG, yaml.safe_dump(settings, sort_keys=False))
-        for name in (HISTORY, CHECKPOINT, METRICS, PREVIEW):
+        for name in (HISTORY, CHECKPOINT, METRICS, PREVIEW, REGIONS_FILE, *MASKS):
             (folder.path / name).unlink(missing_ok=True)
+        for name, content in (copies or {}).items():
+            write_bytes(folder.path / name, content)
         return replace(folder, started_with=settings)
 
     @contextmanager
@@ -285,7 +292,7 @@ def _add(content: Any, thing: Any) -> None:
         content.update(thing.read_bytes() if thing.is_file() else b"")
     elif is_dataclass(thing):
         for field in fields(thing):
-            if field.name not in ("name", "source", "report", "notes"):
+            if field.name not in ("name", "source", "report", "notes", "groups", "group"):
                 _add(content, getattr(thing, field.name))
     elif isinstance(thing, (tuple, list)):
         for one in cast("Sequence[Any]", thing):

@@ -24,6 +24,8 @@ from genmf_mi.losses.perceptual import features, lpips
 
 PAPER = "paper_alignment"
 """Key of the scores with the alignment of GenMF."""
+LEAST_WANTED = 0.01
+"""Share of the object from which on the exposure is found where relief is wanted only."""
 
 Name = TypeVar("Name")
 
@@ -44,11 +46,14 @@ class Scorer:
 
     target_grey: ``[B,1,H,W]`` the object, linear, weighted by its mask ``[B,1,H,W]``.
     networks: which LPIPS networks to report.
+    wanted: ``[B,1,H,W]`` in 0..1, where texture without relief counts against a part; everywhere if None. Where it is
+        0 a part is taken to look as the object does.
     """
 
     target_grey: Tensor
     mask: Tensor
     networks: tuple[Network, ...] = ("alex",)
+    wanted: Tensor | None = None
 
     @torch.no_grad()
     def __post_init__(self) -> None:
@@ -65,12 +70,20 @@ class Scorer:
         contrast = ((self.target - mean[:, None, None, None]).square() * self.mask).sum(dim=(1, 2, 3)) / inside
         return int(contrast.argmax())
 
+    @property
+    def compared(self) -> Tensor:
+        """``[B,1,H,W]``: the mask where relief is wanted, or all of it where that is next to nothing."""
+        if self.wanted is None or float((self.wanted * self.mask).sum()) < LEAST_WANTED * float(self.mask.sum()):
+            return self.mask
+        return self.mask * (self.wanted > 0.5)
+
     @torch.no_grad()
     def align(self, part: Pictured, alignment: Alignment) -> Tensor:
         """``[B,1,H,W]`` the part as it is compared: encoded, aligned, clipped, 0 outside of the mask."""
         assert part.coverage is not None
         aligned, _ = alignment(part.grey, part.coverage, self.target_grey, self.mask)
-        return aligned.clamp(0, 1)
+        aligned = aligned.clamp(0, 1)
+        return aligned if self.wanted is None else torch.lerp(self.target, aligned, self.wanted)
 
     def verdicts(self, parts: Mapping[str, Pictured], alignment: Alignment) -> dict[str, Any]:
         """:meth:`scores` of the parts by name, with ``outline_iou``, and under :data:`PAPER` as the paper aligns."""

@@ -12,6 +12,7 @@ from genmf_mi.core.config import RefineConfig
 from genmf_mi.core.errors import ConfigError
 from genmf_mi.core.files import write_text
 from genmf_mi.core.progress import PrefixedProgress, Progress
+from genmf_mi.pipeline import regions
 from genmf_mi.pipeline.refinement import refine
 from genmf_mi.pipeline.run_folder import RunFolder
 from genmf_mi.report.sweep import write_sweep_picture
@@ -93,7 +94,7 @@ def _finished(folder: RunFolder, settings: RefineConfig, shapes: tuple[str, ...]
     metrics = folder.metrics()
     if metrics is None:
         return None
-    folder.require(settings.to_dict())
+    folder.require({**settings.to_dict(), "inputs": regions.fingerprints(regions.copies(settings))})
     return metrics if set(shapes) <= set(metrics.get("stress", {}).get("shapes", ())) else None
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from genmf_mi.core.config import RefineConfig
 from genmf_mi.pipeline.problem import RefinementProblem
+from genmf_mi.pipeline.region_images import RegionImages
 from genmf_mi.render.view import View, project
 
 COARSE, COARSE_SHARE, SMALLEST_IMAGE = 2 / 3, 0.6, 64
@@ -25,6 +26,8 @@ POLAR_EVERY, POLAR_PHASE = 8, 2
 """Of so many views, that one is from above or from below."""
 POLAR_ELEVATIONS = 35.0, 85.0
 """Degrees, positive above and negative below; the standard views and their jitter reach as far as the first."""
+
+GOLDEN_RATIO = (5**0.5 - 1) / 2
 
 Kind = Literal["standard", "close", "polar"]
 Turn = tuple[float, float]
@@ -70,12 +73,19 @@ def sample_view(problem: RefinementProblem, config: RefineConfig, index: int) ->
             return View(rng.uniform(0, 360), side * rng.uniform(*POLAR_ELEVATIONS), turn)
         case "standard":
             before = sum(kind(config, i) == "standard" for i in range(index))
-            view = _standard(views, config.seed, before)
+            view = _standard(views, config.seed, before, problem.region_images)
             return View(view.azimuth + float(shift[0]), view.elevation + float(shift[1]), turn)
 
 
-def _standard(views: tuple[View, ...], seed: int, turn: int) -> View:
-    """All of ``views`` in a new order every time they were all used."""
+def _standard(views: tuple[View, ...], seed: int, turn: int, regions: RegionImages | None = None) -> View:
+    """All of ``views`` in a new order every time they were all used; or, with regions, each as often as what it shows
+    counts."""
+    if regions is not None:
+        # Multiples of the golden ratio fall evenly into intervals of any width
+        start = np.random.default_rng(seed).uniform()
+        upto = np.cumsum(regions.shares)
+        at = (start + turn * GOLDEN_RATIO) % 1 * float(upto[-1])
+        return views[min(int((upto <= at).sum()), len(views) - 1)]
     order = np.random.default_rng([seed, turn // len(views)]).permutation(len(views))
     return views[int(order[turn % len(views)])]
 
@@ -85,6 +95,8 @@ def _close(problem: RefinementProblem, rng: np.random.Generator, shift: np.ndarr
     surface, scene = problem.surface, problem.training.part
     # Triangles are small where the texture is fine, so that vertices are many there
     contrast = problem.detail + FAINTEST
+    if problem.regions is not None:
+        contrast = contrast * problem.regions.mask * problem.regions.weight
     chosen = int(rng.choice(len(contrast), p=contrast / contrast.sum()))
     front = View.facing(surface.normals[chosen])
     elevation = float(np.clip(front.elevation + shift[1], -STEEPEST, STEEPEST))

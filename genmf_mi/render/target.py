@@ -203,6 +203,14 @@ def subdivide(faces: Int[ndarray, "F 3"], *fields: Float[ndarray, "V ..."]) -> t
     return split, *(np.concatenate([x, x[ends].mean(axis=1)]) for x in fields)
 
 
+def subdivided(faces: Int[ndarray, "F 3"], *fields: Float[ndarray, "V ..."]) -> tuple[ndarray, ...]:
+    """Faces ``[G,3]`` and fields of the mesh of the reference, from those of the part."""
+    mesh = faces, *fields
+    while 4 * len(mesh[0]) <= FINEST:
+        mesh = subdivide(*mesh)
+    return mesh
+
+
 def build_reference(
     xml: Path,
     folder: Path,
@@ -223,8 +231,7 @@ def build_reference(
         OutputError: the mesh cannot be written.
         SceneError: as :func:`genmf_mi.render.scene.load`.
     """
-    while 4 * len(faces) <= FINEST:
-        faces, vertices, normals = subdivide(faces, vertices, normals)
+    faces, vertices, normals = subdivided(faces, vertices, normals)
     rgb = albedo(vertices, normals)
     attributes = {ALBEDO: value(rgb), RED: rgb[:, 0], GREEN: rgb[:, 1], BLUE: rgb[:, 2]}
     spacing = float(np.linalg.norm(vertices[faces[:, 0]] - vertices[faces[:, 1]], axis=1).mean())

@@ -66,6 +66,7 @@ class Report:
     steps: what was done to the mesh before refining, as the ``solid`` block of the metrics reports it.
     original: ``[V,3]``, the shape before refining with the same ``faces``; without it the 3D view cannot compare.
     as_printed, as_printed_names: rows of pictures of the printed parts by lighting, and what each column shows.
+    regions: pictures of what was painted on the part, by view; empty where nothing was.
     """
 
     title: str
@@ -84,3 +85,4 @@ class Report:
     original: np.ndarray | None = None
     as_printed: dict[str, list[Image]] = field(default_factory=dict)
     as_printed_names: list[str] = field(default_factory=list)
+    regions: dict[str, Image] = field(default_factory=dict)

@@ -24,9 +24,10 @@ from genmf_mi.report.pictures import (
     picture,
     relief_picture,
 )
+from genmf_mi.report.regions import told
 from genmf_mi.report.summary import notes, tiles
 
-NOT_COMPARED = ("stress", "stand", "pieces", "asset_notes")
+NOT_COMPARED = ("stress", "stand", "pieces", "asset_notes", "regions")
 """Entries of the metrics that are told elsewhere on the page."""
 _SIDE = 480
 """Longest side of the pictures per view in pixels; larger images are reduced."""
@@ -72,6 +73,8 @@ def render(report: Report) -> str:
         hero=_hero(by_change(report.views)[0]),
         views=[(view.label, _figures(view, report.cap_mm)) for view in report.views],
         as_printed=[(light, _printed(pictures, report)) for light, pictures in report.as_printed.items()],
+        regions=[_figure(view, f"What was painted, {view}", picture) for view, picture in report.regions.items()],
+        regions_told=told(report.metrics),
         comparisons=comparisons,
         other_metrics=other,
         stands=tables.stands(report.metrics),

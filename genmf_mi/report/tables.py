@@ -69,7 +69,17 @@ _WORDS = {
     "nonfinite_gradients": "gradients that were not finite",
 }
 _TERMS = {"loss": "total loss", "ssim": "1 − SSIM", "gradient_ssim": "1 − SSIM of gradients"}
-_UNITS = {"mm": "mm", "mm2": "mm²", "mm3": "mm³", "seconds": "s", "s": "s", "deg": "°", "mb": "MB", "gb": "GB"}
+_UNITS = {
+    "mm": "mm",
+    "mm2": "mm²",
+    "cm2": "cm²",
+    "mm3": "mm³",
+    "seconds": "s",
+    "s": "s",
+    "deg": "°",
+    "mb": "MB",
+    "gb": "GB",
+}
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ import genmf_mi
 from genmf_mi.assets.asset import Asset
 from genmf_mi.core.config import RefineConfig
 from genmf_mi.geometry.plain_areas import PLAIN_CAP_MM
+from genmf_mi.pipeline.regions import RegionField
 from genmf_mi.pipeline.run_folder import PREVIEW
 from genmf_mi.pipeline.views import (
     CLOSE_EVERY,
@@ -30,15 +31,17 @@ from genmf_mi.pipeline.views import (
 from genmf_mi.render.scene import View
 
 
-def problem(views: tuple[View, ...], pictures: tuple = ()) -> SimpleNamespace:
-    """A ball whose only detail is at the tip of +x."""
+def problem(views: tuple[View, ...], pictures: tuple = (), shares: tuple[float, ...] = ()) -> SimpleNamespace:
+    """A ball whose only detail is at the tip of +x; with regions, views count by ``shares`` and the tip is flat."""
     _, _, normals = sphere()
     reference = SimpleNamespace(views=views, pictures=pictures)
     part = SimpleNamespace(distance=4.0, half_width=0.25)
     return SimpleNamespace(
         training=SimpleNamespace(reference=reference, part=part),
         surface=SimpleNamespace(vertices=normals, normals=normals, brightness=np.exp(20 * (normals[:, 0] - 1))),
-        broad=np.zeros(len(normals)),
+        detail=np.exp(20 * (normals[:, 0] - 1)),
+        regions=RegionField(1.0 * (normals[:, 0] < 0), *np.ones((2, len(normals)))) if shares else None,
+        region_images=SimpleNamespace(shares=np.array(shares)) if shares else None,
     )
 
 
@@ -49,6 +52,17 @@ class TestSampleView:
 
     def views(self, config: RefineConfig = CONFIG) -> list[View]:
         return [sample_view(problem(self.VIEWS), config, index) for index in range(config.iterations)]
+
+    def test_as_often_as_what_they_show_counts(self):
+        """A view of flat areas only is not taken, one that counts twice as much twice as often; and close views are not
+        of what is flat."""
+        toy = problem(self.VIEWS, shares=(1.0, 0.0, 2.0))
+        config = replace(self.CONFIG, view_jitter=(0.0, 0.0))
+        seen = [(kind(config, i), sample_view(toy, config, i)) for i in range(config.iterations)]
+        azimuths = [view.azimuth for which, view in seen if which == "standard"]
+        assert set(azimuths) == {0, 240}
+        assert azimuths.count(240) == pytest.approx(2 * azimuths.count(0), abs=4)
+        assert all(np.sin(np.radians(view.azimuth)) <= 1e-9 for which, view in seen if which == "close")
 
     def of(self, which: str, config: RefineConfig = CONFIG) -> list[View]:
         return [view for index, view in enumerate(self.views(config)) if kind(config, index) == which]

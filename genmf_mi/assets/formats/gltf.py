@@ -84,7 +84,8 @@ class _Reader:
             for primitive in mesh["primitives"]:
                 if primitive.get("mode", 4) not in (4, 5, 6):
                     continue  # points and lines have no surface
-                part = self.primitive(primitive, weights)
+                names = tuple(str(one["name"]) for one in (node, mesh) if one.get("name"))
+                part = replace(self.primitive(primitive, weights), names=(tuple(dict.fromkeys(names)),))
                 current().take_faces(len(part.faces), self.path)
                 if "skin" in node and "JOINTS_0" in primitive["attributes"]:
                     parts.append(self.posed(part, primitive["attributes"], self.tree["skins"][node["skin"]], world))
@@ -177,10 +178,11 @@ class _Reader:
         cutoff = {"MASK": float(material.get("alphaCutoff", 0.5)), "BLEND": 0.5}.get(mode)
         red, green, blue = map(float, factor[:3])
         opacity = float(factor[3]) if len(factor) > 3 else 1.0
+        name = str(material.get("name", ""))
         if image is None:
-            return Material((red, green, blue), None, cutoff, opacity), 0, glows
+            return Material((red, green, blue), None, cutoff, opacity, name), 0, glows
         texture, uv_set = self.map_texture(image, transparent=cutoff is not None)
-        return Material((red, green, blue), texture, cutoff, opacity), uv_set, glows
+        return Material((red, green, blue), texture, cutoff, opacity, name), uv_set, glows
 
     def map_texture(self, image: dict, *, transparent: bool = False) -> tuple[Texture, int]:
         """A texture that a material refers to, and the UV set that it uses."""

@@ -6,13 +6,14 @@ and the colours of vertices that also have texture coordinates.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from genmf_mi.assets.albedo import Material
 from genmf_mi.assets.formats import mtl, polygons
-from genmf_mi.assets.part import Part
+from genmf_mi.assets.part import Names, Part
 from genmf_mi.core import colour
 from genmf_mi.core.errors import AssetError
 
@@ -31,13 +32,12 @@ def read(path: Path) -> list[Part]:
     """
     text = mtl.decoded(path.read_bytes())
     materials: dict[str, Material] = {}
-    vertices, colours, uv, rings, used_libraries = _statements(path, text)
+    vertices, colours, uv, rings, used_libraries, groups = _statements(path, text)
     for names in used_libraries:
         materials |= mtl.libraries(path, names)
-    corners = _triangles(path, vertices, rings)
     parts = []
-    for name, pairs in corners.items():
-        material = materials.get(name, Material())
+    for name, (pairs, owner) in _triangles(path, vertices, rings).items():
+        material = replace(materials.get(name, Material()), name=name)
         used, faces = np.unique(np.array(pairs, dtype=np.int64), axis=0, return_inverse=True)
         if used.max(axis=0)[0] >= len(vertices) or used.min(axis=0)[0] < 0 or used.max(axis=0)[1] >= len(uv):
             raise AssetError(f"{path} has faces that point to missing vertices. Export it again.")
@@ -46,14 +46,17 @@ def read(path: Path) -> list[Part]:
                 f"{path} has no texture coordinates for the texture of material {name}. Unwrap it and export it again."
             )
         if material.texture is None and colours is not None:
-            material = Material()
+            material = Material(name=name)
+        names, group = _distinct([groups[name][row] for row in owner])
         parts.append(
             Part(
                 vertices[used[:, 0]],
                 faces.reshape(-1, 3),
                 material,
-                None if material.texture is None else uv[used[:, 1]],
+                None if (used[:, 1] < 0).any() else uv[used[:, 1]],
                 colours[used[:, 0]] if material.texture is None and colours is not None else None,
+                names=names,
+                group=group,
             )
         )
     return parts
@@ -61,14 +64,16 @@ def read(path: Path) -> list[Part]:
 
 def _statements(
     path: Path, text: str
-) -> tuple[np.ndarray, np.ndarray | None, np.ndarray, dict[str, list[list[Corner]]], list[str]]:
+) -> tuple[np.ndarray, np.ndarray | None, np.ndarray, dict[str, list[list[Corner]]], list[str], dict[str, list[Names]]]:
     """Positions ``[V,3]``, linear colours ``[V,3]`` or None, texture coordinates ``[T,2]`` with v downwards, the
-    polygons of each material, and what the ``mtllib`` lines name."""
+    polygons of each material, what the ``mtllib`` lines name, and the names of the object and the groups of each
+    polygon."""
     positions: list[list[float]] = []
     coordinates: list[tuple[float, float]] = []
     rings: dict[str, list[list[Corner]]] = {}
     libraries: list[str] = []
-    material = ""
+    names: dict[str, list[Names]] = {}
+    material, object_name, group_names = "", "", ""
     for number, line in enumerate(text.replace("\\\n", " ").replace("\\\r\n", " ").splitlines(), start=1):
         key, rest = mtl.statement(line)
         try:
@@ -81,10 +86,15 @@ def _statements(
                 material = mtl.name_of(rest)
             elif key == "mtllib":
                 libraries.append(rest)
+            elif key == "o":
+                object_name = rest
+            elif key == "g":
+                group_names = rest
             elif key == "f":
                 words = rest.split("#")[0].split()
                 ring = [_corner(word, len(positions), len(coordinates)) for word in words]
                 rings.setdefault(material, []).append(ring)
+                names.setdefault(material, []).append((object_name, *group_names.split()))
         except (ValueError, IndexError):
             raise AssetError(
                 f"line {number} of {path} cannot be understood: {line.strip()[:60]!r}. Export it again."
@@ -96,7 +106,7 @@ def _statements(
     if positions and all(len(row) in (6, 7) for row in positions):
         rgb = np.array([row[3:6] for row in positions])
         colours = colour.numbers_to_linear(rgb)
-    return vertices, colours, np.array(coordinates, dtype=np.float64).reshape(-1, 2), rings, libraries
+    return vertices, colours, np.array(coordinates, dtype=np.float64).reshape(-1, 2), rings, libraries, names
 
 
 def _corner(word: str, positions: int, coordinates: int) -> Corner:
@@ -107,13 +117,23 @@ def _corner(word: str, positions: int, coordinates: int) -> Corner:
     return position, uv - 1 if uv >= 0 else coordinates + uv
 
 
-def _triangles(path: Path, vertices: np.ndarray, rings: dict[str, list[list[Corner]]]) -> dict[str, list[Corner]]:
-    """For each material the corners of its triangles."""
-    corners: dict[str, list[Corner]] = {}
+def _distinct(names: list[Names]) -> tuple[tuple[Names, ...], np.ndarray]:
+    """The different names among those of some faces, and which of them each face has; the empty one is none."""
+    found: dict[Names, int] = {}
+    group = [found.setdefault(tuple(name for name in each if name), len(found)) for each in names]
+    return tuple(found), np.array(group, dtype=np.int64)
+
+
+def _triangles(
+    path: Path, vertices: np.ndarray, rings: dict[str, list[list[Corner]]]
+) -> dict[str, tuple[list[Corner], np.ndarray]]:
+    """For each material the corners of its triangles, and of which polygon each triangle is."""
+    corners: dict[str, tuple[list[Corner], np.ndarray]] = {}
     for name, some in rings.items():
         if any(not 0 <= position < len(vertices) for ring in some for position, _ in ring):
             raise AssetError(f"{path} has faces that point to missing vertices. Export it again.")
         owner, corner = polygons.triangles(vertices, [[position for position, _ in ring] for ring in some])
         if len(owner):
-            corners[name] = [some[row][k] for row, three in zip(owner, corner, strict=True) for k in three]
+            found = [some[row][k] for row, three in zip(owner, corner, strict=True) for k in three]
+            corners[name] = found, owner
     return corners

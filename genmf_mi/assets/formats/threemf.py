@@ -142,6 +142,7 @@ def _object(path: Path, model, groups: dict, item, matrix: np.ndarray) -> list[P
         if properties.ResourceID:
             group[row], corner[row] = properties.ResourceID, tuple(properties.PropertyIDs)
     parts = []
+    name = str(item.GetName())
     for identifier in np.unique(group):
         rows = group == identifier
         if identifier not in groups:
@@ -155,6 +156,7 @@ def _object(path: Path, model, groups: dict, item, matrix: np.ndarray) -> list[P
                 material,
                 None if uv is None else np.array([uv[number] for number in ids]),
                 None if colours is None else np.array([colours[number] for number in ids], dtype=np.float32),
+                names=((name,) if name else (),),
             ).transformed(matrix)
         )
     return parts
