@@ -137,8 +137,10 @@ def counted(out: Path, items: int) -> dict:
 
 
 def environment(mark: str) -> dict[str, str]:
-    """Of the processes of a drill; with it, Ray stays on the loopback interface."""
-    return {**os.environ, MARK: mark, "RAY_USAGE_STATS_ENABLED": "0", "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
+    """Of the processes of a drill; with it, Ray stays on the loopback interface, and its workers, nice by default, get
+    their share of a busy machine."""
+    ray = {"USAGE_STATS_ENABLED": "0", "ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "worker_niceness": "0"}
+    return {**os.environ, MARK: mark, **{f"RAY_{name}": value for name, value in ray.items()}}
 
 
 def processes(mark: str) -> list[tuple[int, str]]:
