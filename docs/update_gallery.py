@@ -1,6 +1,6 @@
-"""Writes docs/gallery.md and its pictures from a folder of runs of the bundled samples.
+"""Writes docs/gallery.md, and its pictures from a folder of runs of the bundled samples.
 
-    for name in doll vase beanie ...; do genmf-mi refine $name --preset draft --printer fdm-0.2 --no-stress; done
+    for name in doll vase beanie ...; do genmf-mi refine $name --printer fdm-0.2; done
     genmf-mi print-check runs/vase --textured vase     # adds the picture as printed; takes minutes
     python docs/update_gallery.py runs
 
@@ -25,9 +25,13 @@ PICTURES = Path(__file__).with_name("gallery")
 WIDTH = 1000
 HEAD = """# Gallery
 
-Samples of our own, which are in the package: each can be refined by its name. Left the textured object, in the middle
-as it prints in one colour today, right the refined part; all 100 mm, the cap of the relief 1 mm. Numbers are from the
-`metrics.json` of the run shown; LPIPS is better when lower, SSIM when higher. `docs/update_gallery.py` makes the page.
+Ten samples of our own are in the package, and each can be refined by its name. `genmf-mi samples` writes them as GLB.
+
+![The ten samples](gallery/samples.jpg)
+
+Where a run is shown, the textured object is on the left, what prints in one colour today in the middle, the refined
+part on the right; all 100 mm, the cap of the relief 1 mm. Numbers are from its `metrics.json`; LPIPS is better when
+lower, SSIM when higher. `docs/update_gallery.py` makes the page.
 """
 
 
@@ -46,20 +50,21 @@ def described(name: str) -> str:
     return text.rstrip(".") + "."
 
 
+def introduced(name: str) -> list[str]:
+    """Heading, description and command of a sample."""
+    command = f"genmf-mi refine {name} --printer fdm-0.2"
+    return [f"## {name}", "", described(name), "", "```sh", command, "```", ""]
+
+
 def section(name: str, run: Path) -> str:
-    """Heading, picture, command and numbers of one run."""
+    """What is known of a sample: the picture and the numbers of its run, if that is finished."""
+    lines = introduced(name)
+    if not (run / "metrics.json").is_file():
+        return "\n".join(lines).rstrip() + "\n"
     metrics = json.loads((run / "metrics.json").read_text(encoding="utf-8"))
     jpeg(run / "before_after.png", PICTURES / f"{name}.jpg")
     before, best, after = metrics["before"], metrics["displacement"], metrics["after"]
-    lines = [
-        f"## {name}",
-        "",
-        described(name),
-        "",
-        f"![{name}: textured, as it prints today, refined](gallery/{name}.jpg)",
-        "",
-    ]
-    lines += ["```sh", f"genmf-mi refine {name} --preset draft --printer fdm-0.2 --no-stress", "```", ""]
+    lines += [f"![{name}: textured, as it prints today, refined](gallery/{name}.jpg)", ""]
     rows = ["| | as it is | best displacement | refined |", "|---|---|---|---|"]
     for key, label in (("lpips_alex", "LPIPS"), ("ssim", "SSIM"), ("g_ssim", "g-SSIM")):
         rows.append(f"| {label} | {before[key]:.3f} | {best[key]:.3f} | **{after[key]:.3f}** |")
@@ -77,7 +82,7 @@ def main(runs: Path) -> None:
     page = PAGE.read_text(encoding="utf-8") if PAGE.is_file() else ""
     kept = {part.split("\n", 1)[0]: f"## {part}" for part in re.split(r"^## ", page, flags=re.M)[1:]}
     for name in NAMES:
-        if (runs / name / "metrics.json").is_file():
+        if name not in kept or (runs / name / "metrics.json").is_file():
             kept[name] = section(name, runs / name)
     text = "\n".join([HEAD, *(kept[name].rstrip() + "\n" for name in NAMES if name in kept)])
     PAGE.write_text(text, encoding="utf-8")
@@ -85,4 +90,4 @@ def main(runs: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1] if len(sys.argv) > 1 else "runs"))

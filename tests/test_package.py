@@ -67,7 +67,8 @@ def test_everything_required_is_pinned():
     extras = settings["options.extras_require"]
     required = [settings["options"]["install_requires"], extras["oracle"], extras["docs"], extras["dev"]]
     pinned = {normalised(line) for line in (ROOT / "constraints.txt").read_text().splitlines()}
-    assert {normalised(requirement) for text in required for requirement in text.splitlines() if requirement.strip()} <= pinned
+    lines = (line for text in required for line in text.splitlines() if line.strip())
+    assert {normalised(requirement) for requirement in lines} <= pinned
 
 
 def normalised(requirement: str) -> str:

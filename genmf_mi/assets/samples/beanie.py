@@ -34,7 +34,9 @@ def charts() -> list[Chart]:
 def paint(points: np.ndarray, texel: float) -> np.ndarray:
     turn, y = np.arctan2(points[:, 0], points[:, 2]) / (2 * np.pi), points[:, 1]
     fuzz = noise(points, 12, 710, octaves=2)
-    colour = _stitches(turn, y, points, fuzz)
+    # A texture with fewer than some twenty texels per stitch shows the wool without them: they would only alias.
+    plain = np.broadcast_to(rgb("d9cdb8"), points.shape)
+    colour = mix(plain, _stitches(turn, y, points, fuzz), ramp(np.full(len(points), texel), 0.0034, 0.0022))
     ribs = np.abs(np.mod(turn * _RIBS, 1) - 0.5) * 2
     brim = mix(rgb("f3ead6"), rgb("5d6b8f"), ramp(ribs, 0.55, 0.8))
     brim = mix(brim, rgb("2a355a"), ramp(ribs, 0.85, 1.0))
