@@ -1,7 +1,7 @@
 # The menu: `make` prints it. Every target sets up what it needs; once that is done, it costs nothing.
 
 .DEFAULT_GOAL := menu
-.PHONY: menu setup refine check test lint coverage bench fuzz samples doctor clean named
+.PHONY: menu setup refine check test lint coverage bench fuzz samples doctor clean named docs wheel release-check
 
 BIN := .venv/bin
 READY := .venv/ready
@@ -18,6 +18,9 @@ make coverage                   tests with coverage of lines and branches
 make bench                      what makes which file of benchmarks/results; ARGS="NAME" or ARGS="--all ASSETS_DIR" to run it
 make fuzz                       5000 damaged inputs of every kind that is read; N=COUNT for as many, ARGS="--seed 1"
 make samples                    write the bundled samples as GLB files
+make docs                       the site of the documentation, in site/; every warning is an error
+make wheel                      wheel and source archive, in dist/
+make release-check              build, install elsewhere, refine there, documentation, licences, SBOM; in dist/
 make doctor                     what is there, what is missing, how to fix it
 make clean                      remove .venv and caches; your runs stay
 
@@ -43,7 +46,7 @@ $(READY): setup.cfg constraints.txt
 	@touch $@
 
 $(TOOLS): $(READY)
-	@$(PIP) --constraint constraints.txt $(PIP_ARGS) --editable '.[dev]'
+	@$(PIP) --constraint constraints.txt $(PIP_ARGS) --editable '.[dev,docs]'
 	@touch $@
 
 named:
@@ -75,9 +78,22 @@ fuzz: $(TOOLS)
 samples: $(READY)
 	@$(BIN)/genmf-mi samples $(ARGS)
 
+docs: $(TOOLS)
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+	@echo "open site/index.html"
+
+wheel: $(TOOLS)
+	@rm -rf dist build
+	@$(BIN)/python -m build --no-isolation . > /dev/null
+	@rm -rf build
+	@ls dist
+
+release-check: $(TOOLS)
+	@$(BIN)/python packaging/release_check.py $(ARGS)
+
 doctor: $(READY)
 	@$(BIN)/genmf-mi doctor $(ARGS)
 
 clean:
-	rm -rf .venv build dist *.egg-info .pytest_cache .ruff_cache
+	rm -rf .venv build dist site *.egg-info .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -10,7 +10,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 FILES = sorted(
     path
-    for folder in ("genmf_mi", "plugins", "tests", "examples", "benchmarks")
+    for folder in ("genmf_mi", "plugins", "tests", "examples", "benchmarks", "docs", "integrations", "packaging")
     for path in (ROOT / folder).rglob("*.py")
 )
 LONGEST_FILE, LONGEST_FUNCTION = 350, 80

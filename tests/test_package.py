@@ -65,14 +65,15 @@ def test_everything_required_is_pinned():
     settings = configparser.ConfigParser()
     settings.read(ROOT / "setup.cfg")
     extras = settings["options.extras_require"]
-    required = [settings["options"]["install_requires"], extras["oracle"], extras["dev"]]
+    required = [settings["options"]["install_requires"], extras["oracle"], extras["docs"], extras["dev"]]
     pinned = {normalised(line) for line in (ROOT / "constraints.txt").read_text().splitlines()}
-    assert {normalised(requirement) for text in required for requirement in text.split()} <= pinned
+    lines = (line for text in required for line in text.splitlines() if line.strip())
+    assert {normalised(requirement) for requirement in lines} <= pinned
 
 
 def normalised(requirement: str) -> str:
     """The name in a requirement, as package indexes compare names."""
-    return re.split(r"[<>=\[]", requirement)[0].lower().replace("_", "-")
+    return re.split(r"[<>=\[;]", requirement.strip())[0].lower().replace("_", "-")
 
 
 def test_one_version():

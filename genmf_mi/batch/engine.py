@@ -74,7 +74,7 @@ def run_batch(
         items = [as_item(item) for item in items]
         require_names(items)
         for item in items:
-            _work_of(item, work)
+            work_of(item, work)
         total = len(range(part.number - 1, len(items), part.count))
     else:
         total = None
@@ -101,7 +101,7 @@ def _work(config: RefineConfig, options: Mapping[str, Any]) -> Work:
     return Work(config, **values)
 
 
-def _work_of(item: BatchItem, work: Work) -> Work:
+def work_of(item: BatchItem, work: Work) -> Work:
     """``work`` with the settings of the item, and with the strokes in NAME.regions.json beside its asset unless others
     are named. Raises :class:`ConfigError` that names the item."""
     try:
@@ -191,7 +191,7 @@ class Batch:
                 if self.total is None and name.casefold() in names:
                     raise ConfigError(f"another item has the name {name!r} too. Give each a name of its own.")
                 names.add(name.casefold())
-                task, outcome = self._prepared(item, replace(blank, work=_work_of(item, self.work)))
+                task, outcome = self._prepared(item, replace(blank, work=work_of(item, self.work)))
             except GenmfError as error:
                 failed = blank.outcome("failed", cause=cause_of(error), error=str(error))
                 task, outcome = None, self._recorded(failed)

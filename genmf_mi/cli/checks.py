@@ -18,9 +18,9 @@ from importlib import metadata
 from pathlib import Path
 from typing import Literal
 
+from genmf_mi.core import llvm
 from genmf_mi.render import variant
 
-LLVM_PACKAGE = "libllvm19"
 FREE_BYTES, CACHE_BYTES = 500e6, 50e6
 """Least free space for the files of a run, and for the kernels of one."""
 PROBE_SECONDS = 120
@@ -74,10 +74,10 @@ def check_package(module: str, name: str) -> Check:
 def check_llvm(version: tuple[int, ...] | None, path: str = "") -> Check:
     """Whether Dr.Jit can work with this LLVM; it aborts the process with LLVM 15 and 16."""
     if version is None or version[0] < 0:  # Dr.Jit reports -1 for none, and for LLVM 14 and older
-        return Check("LLVM", "missing", "none that Dr.Jit can load", llvm_advice())
+        return Check("LLVM", "missing", "none that Dr.Jit can load", llvm.advice())
     detail = ".".join(map(str, version)) + (f" ({path})" if path else "")
-    if version < variant.OLDEST_LLVM:
-        return Check("LLVM", "missing", f"{detail}, too old for Dr.Jit", llvm_advice())
+    if version < llvm.OLDEST:
+        return Check("LLVM", "missing", f"{detail}, too old for Dr.Jit", llvm.advice())
     return Check("LLVM", "ok", detail)
 
 
@@ -92,18 +92,18 @@ def check_rendering() -> list[Check]:
     if not lines:
         return [Check("Rendering", "missing", last_line(process.stderr), "Fix what is listed above first.")]
     report = json.loads(lines[0])
-    llvm = check_llvm(tuple(report["llvm"]) if report["llvm"] else None, report["llvm_path"])
+    library = check_llvm(tuple(report["llvm"]) if report["llvm"] else None, report["llvm_path"])
     if process.returncode == 0:
         rendering = Check("Rendering", "ok", variant.CPU)
-    elif llvm.status == "missing":
+    elif library.status == "missing":
         rendering = Check("Rendering", "missing", f"{variant.CPU} needs LLVM", "Fix LLVM first.")
     else:
         detail = f"{variant.CPU} failed: {last_line(process.stderr)}"
         rendering = Check("Rendering", "missing", detail, "Run `make setup`: it installs the tested versions.")
     if report["gpu"]:
-        return [llvm, rendering, Check("GPU", "ok", f"{report['gpu']} ({variant.CUDA})")]
+        return [library, rendering, Check("GPU", "ok", f"{report['gpu']} ({variant.CUDA})")]
     absent = "none that both PyTorch and Dr.Jit see"
-    return [llvm, rendering, Check("GPU", "optional", absent, "The CPU works, more slowly.")]
+    return [library, rendering, Check("GPU", "optional", absent, "The CPU works, more slowly.")]
 
 
 def check_weights() -> Check:
@@ -173,15 +173,6 @@ def _llvm_path() -> str:
     except OSError:
         return os.environ.get("DRJIT_LIBLLVM_PATH", "")
     return next((line.split()[-1] for line in maps.splitlines() if "libLLVM" in line), "")
-
-
-def llvm_advice() -> str:
-    """How to install LLVM on this machine, as a sentence."""
-    if shutil.which("apt-get"):
-        return f"Run `sudo apt-get install {LLVM_PACKAGE}`."
-    if sys.platform == "darwin":
-        return "Run `brew install llvm`."
-    return "Install LLVM 17 or newer, or point DRJIT_LIBLLVM_PATH to its shared library."
 
 
 def last_line(text: str) -> str:

@@ -13,10 +13,11 @@ import sys
 from dataclasses import asdict
 
 from genmf_mi.cli.arguments import call
-from genmf_mi.cli.checks import LLVM_PACKAGE, Check, examine, last_line, llvm_advice
+from genmf_mi.cli.checks import Check, examine, last_line
+from genmf_mi.core import llvm
 from genmf_mi.core.errors import SetupError
 
-INSTALLABLE = {"LLVM": LLVM_PACKAGE, "LPIPS weights": "the LPIPS weights (64 MB)"}
+INSTALLABLE = {"LLVM": " ".join(llvm.DEBIAN_PACKAGES), "LPIPS weights": "the LPIPS weights (64 MB)"}
 """Checks that ``--fix`` can turn into ok, and what it installs for that."""
 
 
@@ -50,7 +51,7 @@ def install_llvm() -> None:
         SetupError: no apt-get, no rights, or the installation failed; the message holds the command to run by hand.
     """
     environment = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
-    prefix = [] if os.geteuid() == 0 else ["sudo", "-n"]
+    prefix = [] if getattr(os, "geteuid", lambda: 1)() == 0 else ["sudo", "-n"]  # Windows has no such function
 
     def run(*arguments: str) -> subprocess.CompletedProcess[str]:
         command = [*prefix, *arguments]
@@ -58,11 +59,13 @@ def install_llvm() -> None:
 
     allowed = not prefix or (shutil.which("sudo") and run("true").returncode == 0)
     if not (shutil.which("apt-get") and allowed):
-        raise SetupError(f"LLVM 17 or newer is missing, and cannot be installed from here. {llvm_advice()}")
+        raise SetupError(f"LLVM 17 or newer is missing, and cannot be installed from here. {llvm.advice()}")
     run("apt-get", "update", "-qq")  # may fail without harm where the lists exist
-    process = run("apt-get", "install", "-qq", "-y", "--no-install-recommends", LLVM_PACKAGE)
+    process = run("apt-get", "install", "-qq", "-y", "--no-install-recommends", *llvm.DEBIAN_PACKAGES)
     if process.returncode:
-        raise SetupError(f"apt-get could not install {LLVM_PACKAGE}: {last_line(process.stderr)} {llvm_advice()}")
+        raise SetupError(
+            f"apt-get could not install {llvm.DEBIAN_PACKAGE}: {last_line(process.stderr)} {llvm.advice()}"
+        )
 
 
 def install_weights() -> None:

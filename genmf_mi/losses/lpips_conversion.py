@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from genmf_mi.core.errors import SetupError
 from genmf_mi.core.files import atomic
+from genmf_mi.core.progress import Progress
 from genmf_mi.losses.lpips_weights import (
     CHANNELS,
     HOW_TO_INSTALL,
@@ -77,6 +78,17 @@ def install(source: str | Path | None = None, *, force: bool = False) -> Path:
         with atomic(weights_file(network)) as path:
             save_file(tensors, path)
     return folder()
+
+
+def ensure(*networks: Network, progress: Progress | None = None) -> None:
+    """Install the weights if those of any of the networks are missing; the first refinement fetches them so.
+
+    Raises:
+        SetupError: they cannot be fetched; the message says how to bring them without a network.
+    """
+    if set(networks) & set(missing()):
+        (progress or Progress()).stage("fetching the LPIPS weights (64 MB, only the first time)")
+        install()
 
 
 def _fetch(temporary: Path) -> Path:

@@ -10,6 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from genmf_mi.core import llvm
+from genmf_mi.core.errors import SetupError
+
 _SLIVER = 0.15
 """Twice the inradius over the circumradius: 1 for equilateral triangles; below this the smallest angle is about 5°."""
 
@@ -64,5 +67,15 @@ def _load(vertices: np.ndarray, faces: np.ndarray) -> Any:
 
 
 def _pymeshlab() -> Any:
-    """The module, without a type: it has no stubs, and its names exist at run time only."""
-    return import_module("pymeshlab")
+    """The module, without a type: it has no stubs, and its names exist at run time only.
+
+    Raises:
+        SetupError: a shared library is missing. PyMeshLab itself then fails, or comes without some of its functions.
+    """
+    try:
+        module: Any = import_module("pymeshlab")
+    except ImportError as error:
+        raise SetupError(f"PyMeshLab cannot be loaded: {error}. {llvm.advice()}") from error
+    if not hasattr(module.MeshSet, "meshing_isotropic_explicit_remeshing"):
+        raise SetupError(f"PyMeshLab cannot load its plugins. {llvm.advice()}")
+    return module

@@ -14,7 +14,7 @@ from genmf_mi.assets import samples
 from genmf_mi.assets.asset import Asset, load
 from genmf_mi.core.config import RefineConfig
 from genmf_mi.core.frame import Frame
-from genmf_mi.losses import lpips_weights
+from genmf_mi.losses import lpips_conversion
 from genmf_mi.losses.lpips_weights import Network
 from genmf_mi.mesh import topology
 from genmf_mi.pipeline import evaluator
@@ -56,7 +56,7 @@ def evaluate(
         GenmfError: as :func:`genmf_mi.refine`.
     """
     variant.use("auto")
-    lpips_weights.require(*networks)
+    lpips_conversion.ensure(*networks)
     textured, shape = (
         a if isinstance(a, Asset) else load(samples.resolve(a), files_anywhere=files_anywhere)
         for a in (original, refined)

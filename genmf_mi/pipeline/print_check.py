@@ -20,7 +20,7 @@ from genmf_mi.core.frame import UPRIGHT, Frame, Up
 from genmf_mi.core.printer import PRINTERS, Printer
 from genmf_mi.core.progress import Progress
 from genmf_mi.fabrication.files import COLOURED_GLB
-from genmf_mi.losses import lpips_weights
+from genmf_mi.losses import lpips_conversion
 from genmf_mi.mesh import topology
 from genmf_mi.pipeline.as_printed import LAMPS, PAINTED, TWO_LIGHTS, Pictures, PrintedViews, PrintGate, paint_of, scores
 from genmf_mi.pipeline.evaluation import WELD
@@ -182,7 +182,7 @@ def print_check(
                 for light, label in LIGHTS.items()
             }
             return PrintCheck(_said(parts, printer), rows, ["as printed"])
-        lpips_weights.require("alex")
+        lpips_conversion.ensure("alex", progress=progress)
         asset = textured if isinstance(textured, Asset) else load(samples.resolve(textured))
         xml = Path(scene) if scene else scene_file.find(asset.name)
         progress.stage("preparing the textured object")

@@ -28,7 +28,7 @@ from genmf_mi.core.files import locked
 from genmf_mi.core.printer import PRINTERS
 from genmf_mi.core.progress import Progress
 from genmf_mi.core.timer import Timer
-from genmf_mi.losses import lpips_weights
+from genmf_mi.losses import lpips_conversion
 from genmf_mi.mesh.self_intersections import self_intersections
 from genmf_mi.pipeline import build_direction, regions, stress_stage
 from genmf_mi.pipeline.build_direction import Candidate
@@ -95,7 +95,7 @@ def refine(
         progress.stage("loading")
         asset = sources.load(asset, textured, up, files_anywhere=files_anywhere)
         device = variant.use(config.device)
-        lpips_weights.require(*config.networks)
+        lpips_conversion.ensure(*config.networks, progress=progress)
         xml = Path(scene) if scene else scene_file.find(asset.name)
         config, shape, painted = asked(asset, config, up, out if resume else None)
         run = stack.enter_context(opened(out, asset, config, xml, references, force=force, resume=resume))

@@ -8,8 +8,14 @@ from __future__ import annotations
 
 from typing import Any, TypeAlias
 
-import drjit
-import mitsuba
+from genmf_mi.core import llvm
+from genmf_mi.core.errors import SetupError
+
+try:
+    import drjit
+    import mitsuba
+except (ImportError, NameError) as error:  # Dr.Jit stumbles over a name while it explains a missing library
+    raise SetupError(f"Mitsuba cannot be loaded: {error.__context__ or error}. {llvm.advice()}") from error
 
 dr: Any = drjit
 mi: Any = mitsuba

@@ -9,11 +9,10 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
+from genmf_mi.core import llvm
 from genmf_mi.core.errors import ConfigError, SetupError
 
 CPU, CUDA = "llvm_ad_mono", "cuda_ad_mono"
-OLDEST_LLVM = (17, 0, 0)
-INSTALL_LLVM = "install LLVM 17 or newer, e.g. `sudo apt-get install libllvm19`"
 
 
 # Keys under which `mi.traverse` exposes what a refinement changes; Mitsuba 3.10 renames the mesh parameters.
@@ -102,11 +101,9 @@ def use(device: str = "auto") -> str:
         device = "cuda" if cuda_available() else "cpu"
     if device == "cpu":
         version = llvm_version()
-        if version is None or version < OLDEST_LLVM:
-            found = (
-                "no LLVM library" if version is None else f"LLVM {'.'.join(map(str, version))}, which Dr.Jit cannot use"
-            )
-            raise SetupError(f"found {found}: {INSTALL_LLVM}, or point DRJIT_LIBLLVM_PATH to a newer libLLVM.so.")
+        if version is None or version < llvm.OLDEST:
+            found = "no LLVM" if version is None else f"LLVM {'.'.join(map(str, version))}, which is too old for Dr.Jit"
+            raise SetupError(f"rendering needs LLVM 17 or newer, but there is {found}. {llvm.advice()}")
 
     if device == "cuda":
         import torch

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from genmf_mi.batch.arguments import items_of
-from genmf_mi.batch.items import require_names, strided
+from genmf_mi.batch.engine import work_of
+from genmf_mi.batch.items import BatchItem, require_names, strided
+from genmf_mi.batch.keys import key, token
 from genmf_mi.batch.manifest import read_manifest
 from genmf_mi.batch.shards import Shard, in_array, shard_of
 from genmf_mi.batch.work import Work, with_settings
 from genmf_mi.core.config import PRESETS
 from genmf_mi.core.errors import ConfigError
+from genmf_mi.core.regions import Regions, Stroke
 
 pytestmark = pytest.mark.usefixtures("workplace")
 
@@ -41,6 +46,24 @@ def test_csv_and_jsonl_say_the_same():
         assert work.config.view_jitter == (10.0, 5.0) and work.config.weights.grey_lpips == 2.0
         assert work.up == "-z" and work.verify and work.references == ("sub/front.png@0", "/side.png@90")
         assert not ball.settings
+
+
+def test_strokes_beside_an_asset_are_its_own_and_count_as_its_content():
+    """Unless others are named; other strokes, or another mask, are other work."""
+    Path("bus.glb").write_bytes(b"bus")
+    item, strokes = BatchItem("bus.glb"), Path("bus.regions.json")
+    assert work_of(item, Work()).config.regions is None
+    strokes.write_text("{}")
+    painted = work_of(item, Work())
+    assert painted.config.regions == "bus.regions.json"
+    before = key("bus.glb", painted), token("bus.glb", painted)
+    strokes.write_text('{"other": 1}')
+    assert key("bus.glb", painted) != before[0] and token("bus.glb", painted) != before[1]
+    named = work_of(BatchItem("bus.glb", settings={"regions": "mine.json", "mask": "vertex-colours"}), Work())
+    assert named.painted == {"regions": "mine.json"}
+    dabs = [Stroke("flat", np.zeros((1, 3)), np.ones((1, 3)), radius) for radius in (1.0, 2.0)]
+    keys = {key("bus.glb", Work(replace(PRESETS["draft"], regions=Regions((dab,))))) for dab in dabs}
+    assert len(keys) == 2
 
 
 def test_preset_of_an_item_comes_first():

@@ -119,7 +119,7 @@ def test_llvm_without_rights_names_the_command(monkeypatch):
     monkeypatch.setattr(
         subprocess, "run", lambda command, **_: subprocess.CompletedProcess(command, 1, "", "password needed")
     )
-    with pytest.raises(SetupError, match="Run `sudo apt-get install libllvm19`"):
+    with pytest.raises(SetupError, match="Run `sudo apt-get install libllvm19 "):
         doctor.install_llvm()
 
 
@@ -135,7 +135,7 @@ def test_llvm_as_user_goes_through_sudo(monkeypatch):
     monkeypatch.setattr(subprocess, "run", run)
     doctor.install_llvm()
     assert all(command[:2] == ["sudo", "-n"] for command in commands)
-    assert commands[-1][-1] == "libllvm19"
+    assert {"libllvm19", "libatomic1"} <= set(commands[-1])
     assert "install" in commands[-1]
 
 

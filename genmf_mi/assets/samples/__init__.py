@@ -17,7 +17,9 @@ from genmf_mi.core.files import atomic
 if TYPE_CHECKING:
     import trimesh
 
-NAMES: tuple[str, ...] = ("strawberry", "watermelon", "ladybug", "globe", "leaf", "ball", "plaque")
+NAMES: tuple[str, ...] = (
+    "strawberry", "watermelon", "ladybug", "globe", "leaf", "ball", "plaque", "doll", "vase", "beanie",
+)  # fmt: skip
 SDF_SUFFIX = "_sdf"
 """Appended to the name of a bundled sample, it names that sample converted to Φ on a grid."""
 
