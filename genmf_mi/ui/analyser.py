@@ -20,10 +20,14 @@ BROKE = "reading it took more memory or time than there is. Export it with fewer
 
 
 class Worker:
-    """A process that answers one request at a time; it is started when it is first asked, and after it has died."""
+    """A process that answers one request at a time; it is started when it is first asked, and after it has died.
 
-    def __init__(self, seconds: float) -> None:
-        self._seconds, self._process, self._turn = seconds, None, asyncio.Lock()
+    seconds: after which it is given up. low: whether it has less priority than the server.
+    """
+
+    def __init__(self, seconds: float, *, low: bool = False) -> None:
+        self._seconds, self._low, self._turn = seconds, low, asyncio.Lock()
+        self._process: asyncio.subprocess.Process | None = None
 
     async def warm_up(self) -> None:
         """Start the process, so that the first answer is quick."""
@@ -61,7 +65,8 @@ class Worker:
                 stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.DEVNULL,
                 env={**os.environ, "PYTHONSAFEPATH": "1"}, start_new_session=True,
             )  # fmt: skip
-            processes.lower(self._process.pid)
+            if self._low:
+                processes.lower(self._process.pid)
         return self._process
 
 
@@ -70,7 +75,7 @@ class Analyser:
 
     def __init__(self, workspace: Workspace) -> None:
         self._workspace = workspace
-        self._reader, self._checker = Worker(READ_SECONDS), Worker(CHECK_SECONDS)
+        self._reader, self._checker = Worker(READ_SECONDS), Worker(CHECK_SECONDS, low=True)
         self._tasks: set[asyncio.Task[None]] = set()
         self._asked: dict[str, str] = {}
 

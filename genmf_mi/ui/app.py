@@ -256,7 +256,7 @@ class Api:
             **{name: value for name, value in asdict(job).items() if name not in hidden},
             "cancelling": job.cancel,
             "can_continue": job.kept or (job.state in ("cancelled", "failed") and job.settings is not None),
-            "can_keep": job.state == RUNNING and (run / run_folder.PREVIEW).exists(),
+            "can_keep": self.queue.can_keep(job),
             "stopping": (run / run_folder.STOP).exists(),
             "analysis": read_json(folder / "analysis.json"),
             "files": names,

@@ -59,6 +59,7 @@ def options() -> dict[str, Any]:
             for name, printer in PRINTERS.items()
         },
         "look": LOOK,
+        "regions": hasattr(RefineConfig(), "regions"),
         "max_bytes": MAX_BYTES,
         "suffixes": list(SUFFIXES),
     }

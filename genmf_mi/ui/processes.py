@@ -23,7 +23,10 @@ except ImportError:  # Windows, where a job does not survive its server
 
 NICE = 10
 """Steps below the priority of the server, so that the page answers while all cores are busy."""
+PROGRAM = (sys.executable, "-m", "genmf_mi")
 _LOCK = ".process"
+_children: list[subprocess.Popen[bytes]] = []
+"""Those that run; they may outlive all who look at them."""
 
 
 class Process:
@@ -59,13 +62,14 @@ def start(arguments: Sequence[str], folder: Path, where: Path) -> Process:
 
     where: its working folder.
     """
-    command = [sys.executable, "-m", "genmf_mi", *arguments]
+    command = [*PROGRAM, *arguments]
     environment = {**os.environ, "PYTHONUNBUFFERED": "1", "PYTHONSAFEPATH": "1"}
     with (folder / "events.jsonl").open("ab") as out, (folder / "log.txt").open("ab") as log, _locked(folder) as lock:
         child = subprocess.Popen(
             command, cwd=where, env=environment, stdin=subprocess.DEVNULL, stdout=out, stderr=log,
             start_new_session=True, pass_fds=[lock.fileno()] if fcntl else (),
         )  # fmt: skip
+    _children[:] = [each for each in _children if each.poll() is None] + [child]
     lower(child.pid)
     return Process(folder, child.pid, child)
 

@@ -8,7 +8,7 @@ from contextlib import suppress
 from typing import Any
 
 from genmf_mi.core.errors import GenmfError
-from genmf_mi.pipeline.run_folder import CHECKPOINT, CONFIG, METRICS, STOP
+from genmf_mi.pipeline.run_folder import CHECKPOINT, METRICS, PREVIEW, STOP
 from genmf_mi.ui import options, processes
 from genmf_mi.ui.workspace import CANCELLED, FAILED, FINISHED, QUEUED, READY, RUNNING, Job, Workspace, read_json
 
@@ -64,10 +64,14 @@ class Queue:
 
     def keep(self, job: Job) -> None:
         """Ask a job that refines to finish with what there is. Raises :class:`Conflict`."""
-        run = self.workspace.folder(job) / "run"
-        if job.state != RUNNING or not (run / CONFIG).exists():
+        if not self.can_keep(job):
             raise Conflict("there is nothing to keep yet.")
-        (run / STOP).touch()
+        (self.workspace.folder(job) / "run" / STOP).touch()
+
+    def can_keep(self, job: Job) -> bool:
+        """Whether a job has begun to refine, and can be asked to finish."""
+        preview = self.workspace.folder(job) / "run" / PREVIEW
+        return job.state == RUNNING and preview.exists() and preview.stat().st_mtime >= job.started
 
     def _enqueue(self, job: Job, **changes: Any) -> Job:
         job = self.workspace.change(

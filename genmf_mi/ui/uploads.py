@@ -29,7 +29,7 @@ def safe_name(name: str, fallback: str = "model") -> str:
     """The last part of a path, without characters that mean something to a file system, a page or a terminal."""
     last = unicodedata.normalize("NFC", name).replace("\\", "/").rpartition("/")[2]
     kept = "".join("_" if c in '<>:"|?*' or unicodedata.category(c) in _HIDDEN else c for c in last)
-    kept = kept.strip(" .").lstrip("-")
+    kept = kept.rstrip(" .").lstrip(" -")
     stem, dot, suffix = kept.rpartition(".")
     if not dot:
         stem, suffix = kept, ""
@@ -124,7 +124,8 @@ def _copy(source, file, size: int) -> None:
 
 def _is_litter(name: str) -> bool:
     """Whether a file is what operating systems put into archives."""
-    return any(part == "__MACOSX" or part.startswith(".") and part.strip(".") for part in PurePosixPath(name).parts)
+    parts = PurePosixPath(name.replace("\\", "/")).parts
+    return any(part == "__MACOSX" or (part.startswith(".") and part.strip(".") != "") for part in parts)
 
 
 def _parts(member: zipfile.ZipInfo) -> list[str]:

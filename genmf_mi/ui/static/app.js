@@ -248,7 +248,8 @@ function render() {
   const ready = job.state === "ready", done = job.state === "finished", failed = job.analysis.state === "failed";
   about();
   $("about").hidden = false;
-  $("settings").hidden = $("painting").hidden = !ready || failed;
+  $("settings").hidden = !ready || failed;
+  $("painting").hidden = !ready || failed || !state.options.regions;
   $("progress").hidden = !["queued", "running"].includes(job.state);
   $("result").hidden = !done;
   if (!$("progress").hidden) progress.render(job, state.jobs);

@@ -10,8 +10,10 @@ export function finer(mesh, longest) {
   let edge = longest / 90, result = mesh;
   for (let round = 0; round < 6; round++) {
     const next = halved(result, edge);
-    if (next === result || next.indices.length / 3 > MAX_FACES) break;
+    if (next === result) { result.edge = edge; break; }
+    if (next.indices.length / 3 > MAX_FACES) break;
     result = next;
+    result.edge = edge;
   }
   return result;
 }
@@ -93,17 +95,19 @@ export class Painter {
 
   /** Mark the vertices within the brush along a stroke from its point `from` on. */
   #apply(stroke, from) {
-    const p = this.mesh.positions, n = this.normals, r = stroke.radius_mm / this.mm, channel = KINDS.indexOf(stroke.kind);
+    const { paint, normals: n } = this, p = this.mesh.positions, r = stroke.radius_mm / this.mm, soft = this.mesh.edge ?? r / 4;
+    const channel = KINDS.indexOf(stroke.kind);
     for (let s = Math.max(0, from - 1); s < Math.max(1, stroke.points.length - 1); s++) {
       const a = stroke.points[s], b = stroke.points[s + 1] ?? a, m = stroke.normals[s + 1] ?? stroke.normals[s];
       const d = [b[0] - a[0], b[1] - a[1], b[2] - a[2]], length = d[0] ** 2 + d[1] ** 2 + d[2] ** 2 || 1;
       for (let i = 0; i < p.length; i += 3) {
         const x = p[i] - a[0], y = p[i + 1] - a[1], z = p[i + 2] - a[2];
         const t = Math.min(1, Math.max(0, (x * d[0] + y * d[1] + z * d[2]) / length));
-        if ((x - t * d[0]) ** 2 + (y - t * d[1]) ** 2 + (z - t * d[2]) ** 2 > r * r) continue;
-        if (n[i] * m[0] + n[i + 1] * m[1] + n[i + 2] * m[2] <= AGREES) continue;
-        this.paint[i] = this.paint[i + 1] = this.paint[i + 2] = 0;
-        if (channel < 3) this.paint[i + channel] = 255;
+        const away = (x - t * d[0]) ** 2 + (y - t * d[1]) ** 2 + (z - t * d[2]) ** 2;
+        if (away > (r + soft) ** 2 || n[i] * m[0] + n[i + 1] * m[1] + n[i + 2] * m[2] <= AGREES) continue;
+        // The border runs where the value is a half, between the vertices
+        const value = Math.round(255 * Math.min(1, Math.max(0, 0.5 + (r - Math.sqrt(away)) / (2 * soft))));
+        for (let k = 0; k < 3; k++) paint[i + k] = k === channel ? Math.max(paint[i + k], value) : Math.min(paint[i + k], 255 - value);
       }
     }
   }
