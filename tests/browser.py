@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -37,6 +38,14 @@ def opened(**options) -> Iterator:
             browser.close()
 
 
+def until(page, expression: str, seconds: float = 60) -> None:
+    """Wait until JavaScript is true; the page itself, whose policy forbids ``eval``, could not be asked to wait."""
+    end = time.monotonic() + seconds
+    while not page.evaluate(expression):
+        assert time.monotonic() < end, f"waited in vain for {expression}"
+        page.wait_for_timeout(50)
+
+
 def pixels(page, selector: str = "canvas"):
     """What is seen of an element: ``[H,W,3]``."""
     import io
@@ -54,4 +63,8 @@ def axe_violations(page) -> list[str]:
     script = Path(axe_playwright_python.__file__).with_name("axe.min.js").read_text(encoding="utf-8")
     page.evaluate(script + "\n;0")
     found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")["violations"]
-    return [f"{each['id']}: {node['html'][:120]} ({node['failureSummary'][:200]})" for each in found for node in each["nodes"]]
+    return [
+        f"{each['id']}: {node['html'][:120]} ({node['failureSummary'][:200]})"
+        for each in found
+        for node in each["nodes"]
+    ]

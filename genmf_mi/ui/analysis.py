@@ -114,7 +114,9 @@ def main() -> None:
         request = json.loads(line)
         folder = Path(request["folder"])
         os.chdir(folder / "input")
-        result = {"read": read, "check": check, "sample": sample}[request["task"]](folder, request["model"], request["up"])
+        result = {"read": read, "check": check, "sample": sample}[request["task"]](
+            folder, request["model"], request["up"]
+        )
         print(json.dumps({"state": result["state"]}), flush=True)
 
 

@@ -34,7 +34,8 @@ from genmf_mi.ui.workspace import READY, RUNNING, Job, Workspace, read_json
 VIEWER = ("shaders.js", "geometry.js", "gestures.js", "viewer.js", "packed.js")
 """Scripts that the page has in common with the report."""
 SCRIPTS = (
-    "app.js", "api.js", "glb.js", "paint.js", "painting.js", "result.js", "running.js", "settings.js", "texts.js", "zip.js",
+    "app.js", "api.js", "glb.js", "paint.js", "painting.js", "result.js", "running.js", "settings.js", "texts.js",
+    "zip.js",
 )  # fmt: skip
 STATIC = {
     "": ("genmf_mi.ui", "static/index.html", "text/html"),

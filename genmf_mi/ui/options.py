@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import inspect
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from functools import lru_cache
 from math import isfinite
 from typing import Any, Literal, get_args, get_origin, get_type_hints
@@ -36,6 +36,8 @@ LOOK = {
     "colours": RELIEF_COLOURS,
 }
 """How the page shades, as the bundled scenes do; reading them takes Mitsuba, so a test compares."""
+REGIONS = "regions" in {field.name for field in fields(RefineConfig)}
+"""Whether refinements know painted regions."""
 UPS = ("auto", "x", "-x", "y", "-y", "z", "-z")
 """Axes of a file that can point upwards, as the option ``--up`` has them."""
 
@@ -59,7 +61,7 @@ def options() -> dict[str, Any]:
             for name, printer in PRINTERS.items()
         },
         "look": LOOK,
-        "regions": hasattr(RefineConfig(), "regions"),
+        "regions": REGIONS,
         "max_bytes": MAX_BYTES,
         "suffixes": list(SUFFIXES),
     }

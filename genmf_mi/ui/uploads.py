@@ -39,8 +39,8 @@ def safe_name(name: str, fallback: str = "model") -> str:
 def too_large() -> TooLargeError:
     """The error for an upload over :data:`MAX_BYTES`."""
     return TooLargeError(
-        f"the file is larger than {MAX_BYTES // 1024**2} MB. Export it with smaller textures or fewer triangles: more than "
-        "a million does not show on a print."
+        f"the file is larger than {MAX_BYTES // 1024**2} MB. Export it with smaller textures or fewer triangles: more "
+        "than a million does not show on a print."
     )
 
 

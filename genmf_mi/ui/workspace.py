@@ -1,14 +1,14 @@
 """Jobs on disk. A job is a folder::
 
-    job.json        what it is called, what it was asked for, and how it stands
-    draft.json      settings and painted regions that were not started yet
-    input/          the uploaded files
-    model.glb       the model as the page draws it, made of files that the page cannot read itself
-    analysis.json   size, faces, and what was found on making it solid
-    regions.json    the painted regions of the run
-    events.jsonl    what the process said, see ``genmf-mi refine --json-progress``
-    log.txt         its standard error
-    run/            its results
+job.json        what it is called, what it was asked for, and how it stands
+draft.json      settings and painted regions that were not started yet
+input/          the uploaded files
+model.glb       the model as the page draws it, made of files that the page cannot read itself
+analysis.json   size, faces, and what was found on making it solid
+regions.json    the painted regions of the run
+events.jsonl    what the process said, see ``genmf-mi refine --json-progress``
+log.txt         its standard error
+run/            its results
 """
 
 from __future__ import annotations

@@ -32,7 +32,9 @@ def main() -> None:
     first = int(checkpoint.read_text()) if "--resume" in words else 0
     interrupted = False
     for step in range(first, 10_000 if asset == "slow" else STEPS):
-        checkpoint.write_text(str(step + 1))
+        whole = checkpoint.with_suffix(".new")
+        whole.write_text(str(step + 1))
+        os.replace(whole, checkpoint)
         (run / "preview.png").write_bytes(b"\x89PNG")
         say(done=step + 1, total=STEPS, values={"loss": 1 / (step + 1)})
         time.sleep(0.05)

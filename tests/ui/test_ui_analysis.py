@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import trimesh
 from gltf_writer import Gltf
+from textured import checkered_ball
 from toys import egg, painted
 
 from genmf_mi.assets import asset as meshes
-from genmf_mi.assets.samples import write
 from genmf_mi.ui import analysis, uploads
 from genmf_mi.ui.preview_model import write_model
 
@@ -63,7 +63,7 @@ def test_another_axis_upwards(folder):
 
 def test_picture_of_a_textured_model_is_the_model(folder):
     """Read back by trimesh: the same corners with the same texture at them."""
-    asset = meshes.load(write("ball", folder))
+    asset = meshes.load(checkered_ball(folder / "ball.glb"))
     write_model(folder / "model.glb", asset)
     (back,) = trimesh.load(folder / "model.glb", process=False).geometry.values()
     assert np.allclose(back.vertices[back.faces], asset.vertices[asset.faces], atol=1e-5)
@@ -119,10 +119,8 @@ def test_broken_files_are_refused_in_words(client, tmp_path):
 
 
 def test_an_archive_with_textures(client, tmp_path):
-    write("ball", tmp_path)
-    mesh = trimesh.load(tmp_path / "ball.glb", force="mesh")
     (tmp_path / "obj").mkdir()
-    mesh.export(tmp_path / "obj" / "ball.obj")
+    checkered_ball(tmp_path / "obj" / "ball.obj")
     with zipfile.ZipFile(tmp_path / "toy.zip", "w") as archive:
         for path in (tmp_path / "obj").iterdir():
             archive.write(path, f"a folder/{path.name}")

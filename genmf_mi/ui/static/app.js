@@ -86,7 +86,7 @@ async function take(files) {
       view("ready");
       show(mesh);
       state.local = { file: single, mesh };
-      performance.mark("first-paint");
+      performance.mark("model-shown");
     } catch { /* the server reads it */ }
   }
   view("ready");

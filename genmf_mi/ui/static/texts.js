@@ -24,8 +24,8 @@ export function explain(error) {
   return has(key) ? t(key) : sentence(error.message);
 }
 
-/** What a program says, as a sentence. */
-export const sentence = (text) => (text ? text[0].toUpperCase() + text.slice(1) : "");
+/** What a program says, as a sentence; names of files at its beginning stay as they are. */
+export const sentence = (text) => (/^(the|there|this|an?) /.test(text ?? "") ? text[0].toUpperCase() + text.slice(1) : text ?? "");
 
 export async function loadTexts(wanted) {
   const found = wanted ?? stored() ?? navigator.languages.map((l) => l.slice(0, 2)).find((l) => LANGUAGES.includes(l)) ?? "en";
