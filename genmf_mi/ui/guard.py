@@ -2,7 +2,8 @@
 
 A server on 127.0.0.1 can be reached by every page that is open in a browser on the machine: by name, if the owner of a
 domain lets it point here (DNS rebinding), and blindly, by requests from other sites. So the name in ``Host`` must be
-one of ours, and the site that a browser names in ``Origin`` must be ours too. A server for other machines asks for a token.
+one of ours, and the site that a browser names in ``Origin`` must be ours too. A server for other machines asks for a
+token.
 """
 
 from __future__ import annotations

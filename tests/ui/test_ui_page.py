@@ -164,8 +164,8 @@ def test_names_are_no_html(page, server, tmp_path):
     status, job = server.ask("POST", f"jobs?name={name}", body=data)
     assert status == 201
     page.goto(f"{server.base}/#job={job['id']}")
-    page.wait_for_selector("#about h2")
-    assert "img src=x" in page.inner_text("#about h2") and page.locator("#about img").count() == 0
+    page.wait_for_selector("#about h1")
+    assert "img src=x" in page.inner_text("#about h1") and page.locator("#about img").count() == 0
     assert page.evaluate("window.evil") is None
 
 

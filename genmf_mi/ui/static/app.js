@@ -19,7 +19,7 @@ async function begin() {
   viewer = new Viewer($("canvas"), state.options.look, {
     eager: true, onFail: (code) => { $("view-message").textContent = t(`view.${code}`); }, onDraw: ruler,
   });
-  settings = new Settings($("settings"), state.options, () => { arrange(); save(); });
+  settings = new Settings($("settings"), state.options, { onChange: () => { arrange(); save(); }, onTurn: turn });
   painting = new Paint($("painting"), viewer, save);
   progress = new Progress($("progress"));
   result = new Result($("result"), viewer);
@@ -162,6 +162,7 @@ async function open(id) {
 function update(job) {
   const before = state.job;
   state.job = job;
+  if (job.state === "ready" && job.analysis.up && settings.up !== job.analysis.up) { settings.up = job.analysis.up; settings.draw(); }
   if (before?.state !== job.state) refreshJobs();
   render();
   loadModel(job);
@@ -271,7 +272,7 @@ function about() {
     : (analysis.findings ?? []).map((f) => ({ severity: f.severity, words: plural(`finding.${f.code}`, f.count ?? 0) }));
   if (analysis.state === "checking") lines.push({ severity: "info", words: t("analysis.checking") });
   $("about").replaceChildren(
-    el("h2", {}, el("span", {}, job.name), el("button", { type: "button", class: "link", onclick: remove, disabled: job.state === "running" }, t("jobs.delete"))),
+    el("h1", {}, el("span", {}, job.name), el("button", { type: "button", class: "link", onclick: remove, disabled: job.state === "running" }, t("jobs.delete"))),
     model ? el("p", { class: "size" }, t("about.size", { x: number(mm[0]), y: number(mm[2]), z: number(mm[1]), faces: number(model.faces, 0) })) : "",
     el("ul", { class: "findings" }, ...lines.map(({ severity, words: text }) => el("li", { class: severity }, el("span", {}, text)))),
   );
@@ -311,6 +312,12 @@ function save(now = false) {
   if (now === true) return send();
   state.saving = setTimeout(send, 400);
   return null;
+}
+
+/** The file is read again, with another axis upwards; strokes turn with it. */
+async function turn(up) {
+  try { update(await ask(`jobs/${state.job.id}/up`, { method: "POST", json: { up } })); } catch (error) { fail(explain(error)); }
+  save();
 }
 
 async function remove() {

@@ -3,11 +3,11 @@ import { vertexNormals } from "/geometry.js";
 
 export const KINDS = ["flat", "stronger", "matters", "erase"];
 const AGREES = 0; // a vertex belongs to a stroke if its normal points to the same side
-const MAX_FACES = 300_000;
+const MAX_FACES = 150_000;
 
 /** The mesh in smaller triangles, so that the edge of what is painted is as round as the brush. */
 export function finer(mesh, longest) {
-  let edge = longest / 90, result = mesh;
+  let edge = longest / 70, result = mesh;
   for (let round = 0; round < 6; round++) {
     const next = halved(result, edge);
     if (next === result) { result.edge = edge; break; }

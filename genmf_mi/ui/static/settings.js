@@ -13,10 +13,13 @@ export function turnFor([x, y, z]) {
 }
 
 export class Settings {
-  constructor(form, options, onChange) {
+  /** onChange(): a setting was changed. onTurn(axis): another axis of the file shall point upwards. */
+  constructor(form, options, { onChange, onTurn }) {
     this.form = form;
     this.options = options;
     this.onChange = onChange;
+    this.onTurn = onTurn;
+    this.up = "auto";
     this.preset = options.preset;
     this.chosen = {};
     form.addEventListener("submit", (event) => event.preventDefault());
@@ -38,6 +41,7 @@ export class Settings {
   load({ preset, up, ...chosen }) {
     this.preset = preset ?? this.options.preset;
     this.chosen = chosen;
+    this.up = up ?? "auto";
     this.draw();
   }
 
@@ -54,31 +58,42 @@ export class Settings {
       el("h2", {}, t("settings.title")),
       ...FIRST.map((name) => this.#field(named[name])),
       this.#presets(),
-      el("details", {}, el("summary", {}, t("settings.more")), ...rest.map((name) => this.#field(named[name]))),
+      el("details", {}, el("summary", {}, t("settings.more")), ...rest.map((name) => this.#field(named[name])), this.#up()),
     );
     if (focus) document.getElementById(focus)?.focus();
   }
 
+  /** A question mark that shows the help, and the help. */
   #help(name, text) {
-    const key = `help.${name}`;
-    return el("p", { class: "help", id: `help-${name}` }, has(key) ? t(key) : language === "en" ? text : "");
+    const key = `help.${name}`, help = el("p", { class: "help", id: `help-${name}`, hidden: true }, has(key) ? t(key) : language === "en" ? text : "");
+    const mark = el("button", { type: "button", class: "mark", "aria-expanded": "false", "aria-controls": help.id, "aria-label": t("settings.help", { name: t(`setting.${name}`) }) }, "?");
+    mark.addEventListener("click", () => { help.hidden = !help.hidden; mark.setAttribute("aria-expanded", String(!help.hidden)); });
+    return [mark, help];
+  }
+
+  #up() {
+    const select = el("select", { id: "set-up" }, ...this.options.up.map((axis) => el("option", { value: axis }, t(`up.${axis}`))));
+    select.value = this.up;
+    select.addEventListener("change", () => { this.up = select.value; this.onTurn(this.up); });
+    return el("div", { class: "field" }, el("label", { for: "set-up" }, t("up.title")), select);
   }
 
   #field({ name, type, choices, help }) {
     if (name === "stand") return this.#stands(choices, help);
+    const [mark, words] = this.#help(name, help);
     if (type === "choice") {
       const select = el("select", { id: `set-${name}`, "aria-describedby": `help-${name}` }, ...choices.map((choice) => el("option", { value: choice }, t(`${name}.${choice}`))));
       select.value = this.values[name];
       select.addEventListener("change", () => this.#change(name, select.value));
-      return el("div", { class: "field" }, el("label", { for: `set-${name}` }, t(`setting.${name}`)), select, this.#help(name, help));
+      return el("div", { class: "field" }, el("label", { for: `set-${name}` }, t(`setting.${name}`)), mark, select, words);
     }
     const [min, max, step] = RANGES[name], value = this.values[name];
     const exact = el("input", { type: "number", id: `set-${name}`, min: step, step: "any", value, inputmode: "decimal", "aria-describedby": `help-${name}` });
     const slide = el("input", { type: "range", min, max, step, value, "aria-label": t(`setting.${name}`), tabindex: -1 });
     slide.addEventListener("input", () => { exact.value = slide.value; this.#change(name, Number(slide.value)); });
     exact.addEventListener("input", () => { if (exact.value > 0) { slide.value = exact.value; this.#change(name, Number(exact.value)); } });
-    return el("div", { class: "field" }, el("label", { for: `set-${name}` }, t(`setting.${name}`)),
-      el("div", { class: "pair" }, slide, exact, el("span", { class: "unit" }, "mm")), this.#help(name, help));
+    return el("div", { class: "field" }, el("label", { for: `set-${name}` }, t(`setting.${name}`)), mark,
+      el("div", { class: "pair" }, slide, exact, el("span", { class: "unit" }, "mm")), words);
   }
 
   #stands(choices, help) {
@@ -88,7 +103,8 @@ export class Settings {
       radio.addEventListener("change", () => this.#change("stand", choice));
       return el("label", {}, radio, figure(choice), el("span", {}, t(`stand.${choice}`)));
     });
-    return el("fieldset", { class: "field" }, el("legend", {}, t("setting.stand")), el("div", { class: "stands" }, ...options), this.#help("stand", help));
+    const [mark, words] = this.#help("stand", help);
+    return el("fieldset", { class: "field" }, el("legend", {}, t("setting.stand")), mark, el("div", { class: "stands" }, ...options), words);
   }
 
   #presets() {
@@ -110,11 +126,11 @@ function figure(stand) {
     svg.append(make("path", { d: "M16 4l3.4 7.6 8.1.9-6 5.6 1.7 8L16 22l-7.2 4.1 1.7-8-6-5.6 8.1-.9Z" }));
     return svg;
   }
-  const front = ["upright", "upside-down", "on-left", "on-right"].includes(stand), turn = SIDES[stand] * (stand === "on-left" ? 1 : stand === "on-right" ? 1 : 1);
+  const front = ["upright", "upside-down", "on-left", "on-right"].includes(stand), turn = SIDES[stand];
   const body = make("g", { transform: `rotate(${turn} 16 16)` });
   body.append(make("path", { d: "M9 27c0-6 2-8 7-8s7 2 7 8Z" }), make("circle", { cx: 16, cy: 11, r: 7 }));
   if (front) body.append(make("circle", { class: "face", cx: 13.5, cy: 11, r: 1.5 }), make("circle", { class: "face", cx: 18.5, cy: 11, r: 1.5 }));
-  else body.append(make("circle", { class: "face", cx: stand === "on-back" ? 21 : 21, cy: 11, r: 1.6 }));
+  else body.append(make("circle", { class: "face", cx: 21, cy: 11, r: 1.6 }));
   svg.append(body);
   return svg;
 }
