@@ -52,6 +52,8 @@ def check(folder: Path, model: str, up: str) -> dict[str, Any]:
         result |= {"state": "done", "findings": result.get("findings", []) + findings_of_solid(report)}
     except GenmfError as error:
         result |= {"state": "failed", "error": str(error)}
+    if json.loads((folder / "analysis.json").read_text(encoding="utf-8"))["up"] != up:  # it was turned meanwhile
+        return result
     write_text(folder / "analysis.json", json.dumps(result))
     return result
 

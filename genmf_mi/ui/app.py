@@ -109,7 +109,10 @@ class Api:
             model = uploads.find_model(folder / "input").relative_to(folder / "input")
             title = model.stem if path.suffix.lower() == ".zip" else path.stem
             job = self.workspace.save(Job(identifier, title, str(model), time.time()))
-        except (GenmfError, ClientDisconnect):
+        except ClientDisconnect:
+            self.workspace.drop(identifier)
+            return Response(status_code=400)
+        except (GenmfError, OSError):
             self.workspace.drop(identifier)
             raise
         self.analyser.analyse(identifier, job.model, "auto")
@@ -289,7 +292,7 @@ def build(workspace: Workspace, host: str = "127.0.0.1", token: str | None = Non
         routes=api.routes(),
         lifespan=lifespan,
         middleware=[Middleware(Guard, host=host, token=token)],  # pyright: ignore[reportArgumentType]
-        exception_handlers={GenmfError: _explained, 404: _explained_status, 405: _explained_status},
+        exception_handlers={GenmfError: _explained, OSError: _explained_disk, 404: _explained_status, 405: _explained_status},
     )
 
 
@@ -305,6 +308,11 @@ async def _explained(request: Request, problem: Exception) -> Response:
     ]
     status, code = next(((status, code) for kind, status, code in kinds if isinstance(problem, kind)), (400, "error"))
     return error(status, code, str(problem))
+
+
+async def _explained_disk(request: Request, problem: Exception) -> Response:
+    reason = getattr(problem, "strerror", None) or type(problem).__name__
+    return error(507, "storage", f"the server cannot write or read its files: {reason}. Free some space.")
 
 
 async def _explained_status(request: Request, problem: Exception) -> Response:

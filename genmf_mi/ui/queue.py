@@ -33,11 +33,15 @@ class Queue:
         """Work until cancelled. Processes go on without us: the next server finds them."""
         self.workspace.purge(time.time())
         while True:
-            if job := self._next():
-                await self._carry_out(job)
-            else:
-                self._wake.clear()
-                await self._wake.wait()
+            self._wake.clear()
+            try:
+                if job := self._next():
+                    await self._carry_out(job)
+                    continue
+            except (OSError, GenmfError):  # a full disk; what is asked for next says so
+                await asyncio.sleep(1.0)
+                continue
+            await self._wake.wait()
 
     def start(self, job: Job, settings: dict[str, Any], regions: bool) -> Job:
         """Put a job at the end of the queue. Raises :class:`Conflict`, or :class:`ConfigError` for its settings."""

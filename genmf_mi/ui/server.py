@@ -6,6 +6,7 @@ import secrets
 import socket
 import threading
 import webbrowser
+from contextlib import suppress
 from pathlib import Path
 
 from genmf_mi.core.errors import OutputError, SetupError
@@ -53,7 +54,8 @@ def serve(
             build(place, host, token), log_level="warning", access_log=False, server_header=False,
             proxy_headers=False, timeout_graceful_shutdown=1, ws="none",
         )  # fmt: skip
-        uvicorn.Server(config).run([listener])
+        with suppress(KeyboardInterrupt):
+            uvicorn.Server(config).run([listener])
 
 
 def _listening(host: str, port: int) -> socket.socket:

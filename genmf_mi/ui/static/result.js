@@ -4,6 +4,9 @@ import { clock } from "/running.js";
 import { unpack } from "/packed.js";
 import { el, number, t } from "/texts.js";
 
+/** Elsewhere a slicer would need the token. */
+const LOCAL = ["127.0.0.1", "localhost", "[::1]"].includes(location.hostname);
+
 export class Result {
   constructor(card, viewer) { this.card = card; this.viewer = viewer; this.reset(); }
 
@@ -35,7 +38,7 @@ export class Result {
         link("refined.stl", "quiet", "STL", t("result.stl-note")), link("refined.glb", "quiet", "GLB", t("result.glb-note")),
         el("a", { class: "quiet", href: fileUrl(job, "report.html"), target: "_blank", rel: "noopener" }, t("result.report"), el("small", {}, t("result.report-note"))),
         link("before_after.png", "quiet", t("result.picture"), "PNG")),
-      el("p", { class: "links" }, el("span", {}, t("result.open-in")), ...slicers(new URL(fileUrl(job, "refined.3mf"), location.href).href).map(([name, href]) => el("a", { href }, name))),
+      ...(LOCAL ? [el("p", { class: "links" }, el("span", {}, t("result.open-in")), ...slicers(new URL(fileUrl(job, "refined.3mf"), location.href).href).map(([name, href]) => el("a", { href }, name)))] : []),
     );
   }
 
