@@ -292,7 +292,12 @@ def build(workspace: Workspace, host: str = "127.0.0.1", token: str | None = Non
         routes=api.routes(),
         lifespan=lifespan,
         middleware=[Middleware(Guard, host=host, token=token)],  # pyright: ignore[reportArgumentType]
-        exception_handlers={GenmfError: _explained, OSError: _explained_disk, 404: _explained_status, 405: _explained_status},
+        exception_handlers={
+            GenmfError: _explained,
+            OSError: _explained_disk,
+            404: _explained_status,
+            405: _explained_status,
+        },
     )
 
 

@@ -11,6 +11,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -23,6 +24,8 @@ except ImportError:  # Windows, where a job does not survive its server
 
 NICE = 10
 """Steps below the priority of the server, so that the page answers while all cores are busy."""
+GRACE = 8.0
+"""Seconds for a process to save what it has once it was told to end."""
 PROGRAM = (sys.executable, "-m", "genmf_mi")
 _LOCK = ".process"
 _children: list[subprocess.Popen[bytes]] = []
@@ -34,6 +37,7 @@ class Process:
 
     def __init__(self, folder: Path, pid: int, child: subprocess.Popen[bytes] | None = None) -> None:
         self.folder, self.pid, self._child = folder, pid, child
+        self._asked = 0.0
 
     @property
     def alive(self) -> bool:
@@ -47,14 +51,19 @@ class Process:
         """Of an own child that has ended, negative for a signal."""
         return self._child.poll() if self._child is not None else None
 
-    def kill(self) -> None:
-        """End it and all that it has started, at once: what it has written is whole."""
-        if self.alive:
-            with suppress(OSError):
-                if hasattr(os, "killpg"):
-                    os.killpg(self.pid, signal.SIGKILL)
-                else:
-                    os.kill(self.pid, signal.SIGTERM)
+    def end(self) -> None:
+        """End it and all that it has started: asked first, so that it can save what it has, then forced. To be called
+        until it has ended."""
+        if not self.alive:
+            return
+        if self._asked and time.monotonic() - self._asked < GRACE:
+            return
+        with suppress(OSError):
+            if hasattr(os, "killpg"):
+                os.killpg(self.pid, signal.SIGKILL if self._asked else signal.SIGTERM)
+            else:
+                os.kill(self.pid, signal.SIGTERM)
+        self._asked = time.monotonic()
 
 
 def start(arguments: Sequence[str], folder: Path, where: Path) -> Process:

@@ -106,7 +106,7 @@ class Queue:
         while await asyncio.to_thread(lambda: process.alive):
             current = self.workspace.get(job.id)
             if current is None or current.cancel:
-                process.kill()
+                process.end()
             await asyncio.sleep(TICK)
         if current := self.workspace.get(job.id):
             self._settle(current, process.exit_code)

@@ -9,7 +9,7 @@ import lib3mf
 import numpy as np
 import pytest
 from browser import opened, pixels, until
-from conftest import Served
+from page_server import Served
 from textured import checkered_ball
 
 from genmf_mi.assets import asset as meshes

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
-from conftest import Served
+from page_server import Served
 from toys import painted
 
 

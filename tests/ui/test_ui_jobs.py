@@ -8,7 +8,7 @@ import signal
 import time
 
 import pytest
-from conftest import Served
+from page_server import Served
 from toys import painted
 
 from genmf_mi.core.errors import OutputError

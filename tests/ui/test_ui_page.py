@@ -14,7 +14,7 @@ from urllib.parse import quote
 import numpy as np
 import pytest
 from browser import axe_violations, opened, pixels, until
-from conftest import Served
+from page_server import Served
 from stub_refine import PROGRAM
 from textured import checkered_ball
 from toys import painted
