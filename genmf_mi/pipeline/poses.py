@@ -31,7 +31,8 @@ _CELLS = 50
 class Pose:
     """How a part stands on the bed.
 
-    name: of :data:`genmf_mi.core.frame.DIRECTIONS`, or ``tilted``. up: unit vector away from the bed. asked: for, in the settings.
+    name: of :data:`genmf_mi.core.frame.DIRECTIONS`, or ``tilted``. up: unit vector away from the bed.
+    asked: for, in the settings.
     unsteady: nothing flat of it lies on the bed, see :func:`genmf_mi.geometry.displacement_bounds.base`.
     """
 

@@ -260,8 +260,8 @@ class RunFolder:
         return checkpoint, history
 
     def finish(self, metrics: dict[str, Any]) -> None:
-        """Write ``metrics.json``, and remove the preview, a request to stop and, unless the run was interrupted, the checkpoint. A
-        complete run then takes the place of the one that it replaces. Raises :class:`OutputError`."""
+        """Write ``metrics.json``, and remove the preview, a request to stop and, unless the run was interrupted, the
+        checkpoint. A complete run then takes the place of the one that it replaces. Raises :class:`OutputError`."""
         self._keep_settings()
         write_text(self.path / METRICS, json.dumps(metrics, indent=2) + "\n")
         for name in (PREVIEW, STOP):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 from pathlib import Path
 
 import lib3mf
@@ -50,7 +51,7 @@ def near(points: np.ndarray, strokes: list[dict], margin_mm: float) -> np.ndarra
     found = np.zeros(len(points), bool)
     for stroke in strokes:
         corners = np.array(stroke["points"])
-        along = np.concatenate([a + np.linspace(0, 1, 20)[:, None] * (b - a) for a, b in zip(corners, corners[1:])])
+        along = np.concatenate([a + np.linspace(0, 1, 20)[:, None] * (b - a) for a, b in pairwise(corners)])
         reach = (stroke["radius_mm"] + margin_mm) * 2 / SIZE
         found |= np.linalg.norm(points[:, None] - along[None], axis=2).min(axis=1) < reach
     return found

@@ -59,7 +59,7 @@ def test_options_are_those_of_the_settings():
     assert set(named) == set(options.SHOWN) <= set(asdict(RefineConfig()))
     assert named["size_mm"]["help"] == "Longest side of the printed part."
     assert named["printer"]["choices"] == list(offered["printers"])
-    assert set(named["stand"]["choices"]) == {"best", *offered["directions"]}
+    assert set(named["stand"]["choices"]) == {"auto", "best", *offered["directions"]}
     assert offered["presets"]["default"]["size_mm"] == RefineConfig().size_mm
     for up in offered["up"]:
         parse(["toy.glb", f"--up={up}"])

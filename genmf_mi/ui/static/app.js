@@ -120,9 +120,7 @@ function refuse(words) {
 }
 
 function fail(words) { $("error").textContent = words; $("drop-error").textContent = words; }
-
 function view(name) { document.body.dataset.view = name; }
-
 function leave() { state.stop?.(); state.stop = null; state.shown = null; }
 
 /** Show a job, or the place to drop a model. */
@@ -334,8 +332,7 @@ async function remove() {
 }
 
 async function refreshJobs() {
-  try { state.jobs = (await ask("jobs")).jobs; $("offline").hidden = true; } catch { $("offline").hidden = false; return; }
-  drawJobs();
+  try { state.jobs = (await ask("jobs")).jobs; $("offline").hidden = true; drawJobs(); } catch { $("offline").hidden = false; }
 }
 
 function drawJobs() {

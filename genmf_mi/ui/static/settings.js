@@ -122,6 +122,10 @@ export class Settings {
 function figure(stand) {
   const make = (name, attributes) => { const e = document.createElementNS("http://www.w3.org/2000/svg", name); for (const [k, v] of Object.entries(attributes)) e.setAttribute(k, v); return e; };
   const svg = make("svg", { viewBox: "0 0 32 32", "aria-hidden": "true" });
+  if (stand === "auto") {
+    svg.append(make("path", { d: "M6 22h20M10 22c0-8 3-12 6-12s6 4 6 12M13 27h6" }));
+    return svg;
+  }
   if (stand === "best") {
     svg.append(make("path", { d: "M16 4l3.4 7.6 8.1.9-6 5.6 1.7 8L16 22l-7.2 4.1 1.7-8-6-5.6 8.1-.9Z" }));
     return svg;
