@@ -52,8 +52,6 @@ VERIFICATION, BATCH = "stress_verification.json", "batch.json"
 CATALOGUE = (
     Benchmark("rendering", "rendering.json", "milliseconds per view beside stock Mitsuba", 5, "not quoted"),
     Benchmark("memory", "memory.json", "whether a long refinement keeps its memory flat", 6, "not quoted"),
-    Benchmark("page", "page.json", "milliseconds to the first picture of a dropped file, and of requests", 1,
-              "docs/ui.md, How quick it is"),
     Benchmark("flexicubes", "flexicubes.json", "seconds of FlexiCubes at 129³, forward and backward", 2, "not quoted"),
     Benchmark("alignment_ladder", "alignment_ladder.json", "which alignment ranks parts as a person does", 2,
               "docs/appearance.md"),

@@ -15,9 +15,9 @@ export class Result {
   /** The meshes as the report of the run holds them, and the numbers. */
   async open(job) {
     const [page, metrics] = await Promise.all([fetch(fileUrl(job, "report.html")).then((r) => r.text()), fetch(fileUrl(job, "metrics.json")).then((r) => r.json())]);
-    const report = new DOMParser().parseFromString(page, "text/html");
-    const meta = JSON.parse(report.getElementById("mesh-meta").textContent);
-    const mesh = await unpack(meta, report.getElementById("mesh-data").textContent);
+    // Not parsed as HTML, whose styles the policy of this page would refuse
+    const part = (id) => page.match(new RegExp(`id="${id}">([^<]*)</script>`))[1];
+    const meta = JSON.parse(part("mesh-meta")), mesh = await unpack(meta, part("mesh-data"));
     this.cap = meta.rangeMm;
     this.up = metrics.stand?.up ?? [0, 1, 0];
     this.metrics = metrics;
