@@ -236,14 +236,19 @@ def load(path: str | Path, up: str | None = None, *, files_anywhere: bool = Fals
             f"{path} cannot be read as {suffix[1:].upper()} ({type(error).__name__}: {error}). "
             "Download or export it again."
         ) from error
-    axis = up or _UP.get(suffix, "y")
-    if axis not in _TO_Y_UP:
-        raise ConfigError(f"{axis} is no axis that could point upwards: choose one of {', '.join(_TO_Y_UP)}.")
-    if axis != "y":
-        turn = np.eye(4)
-        turn[:3, :3] = _TO_Y_UP[axis]
+    turn = np.eye(4)
+    turn[:3, :3] = turn_of(path, up)
+    if not np.array_equal(turn, np.eye(4)):
         parts = [part.transformed(turn) for part in parts]
     return Asset._from_parts(path.stem, parts, path)
+
+
+def turn_of(path: str | Path, up: str | None = None) -> np.ndarray:
+    """The rotation ``[3,3]`` from a file to y up, as :func:`load` makes it. Raises :class:`ConfigError`."""
+    axis = up or _UP.get(Path(path).suffix.lower(), "y")
+    if axis not in _TO_Y_UP:
+        raise ConfigError(f"{axis} is no axis that could point upwards: choose one of {', '.join(_TO_Y_UP)}.")
+    return np.array(_TO_Y_UP[axis], dtype=np.float64)
 
 
 def _reader(suffix: str) -> Callable[[Path], list[Part]]:

@@ -64,7 +64,7 @@ def install_llvm() -> None:
     process = run("apt-get", "install", "-qq", "-y", "--no-install-recommends", *llvm.DEBIAN_PACKAGES)
     if process.returncode:
         raise SetupError(
-            f"apt-get could not install {llvm.DEBIAN_PACKAGE}: {last_line(process.stderr)} {llvm.advice()}"
+            f"apt-get could not install {llvm.DEBIAN_PACKAGES[0]}: {last_line(process.stderr)} {llvm.advice()}"
         )
 
 

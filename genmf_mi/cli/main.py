@@ -24,6 +24,7 @@ signal."""
 
 COMMANDS = {
     "refine": ("ASSET", "refine a file or a bundled sample; writes to runs/NAME"),
+    "ui": ("", "a page in the browser: drop a file, paint, start, compare, download"),
     "evaluate": ("A B", "score a one-colour shape B against the textured asset A"),
     "print-check": ("PART", "slice a part and look at it as it comes off the printer"),
     "batch": ("FILES ...", "refine many assets: on this machine, a shard of them, or on a cluster"),

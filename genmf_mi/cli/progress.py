@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import sys
 import time
 from collections.abc import Collection, Mapping
+from math import isfinite
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from genmf_mi.core.progress import Progress
 
@@ -79,6 +81,24 @@ class TerminalProgress(Progress):
 
     def _new_task(self) -> TaskID:
         return self._display.add_task(self._stage, total=None, count="", remaining="")
+
+
+class JsonProgress(Progress):
+    """A JSON object per line on standard output, for programs: ``stage``, or ``done`` and ``total`` with ``values``, or
+    ``warning``; and ``at``, the time in seconds since 1970."""
+
+    def stage(self, name: str) -> None:
+        self._print({"stage": name})
+
+    def advance(self, done: float, total: float, values: Mapping[str, float] | None = None) -> None:
+        finite = {name: value for name, value in (values or {}).items() if isfinite(value)}  # JSON has no others
+        self._print({"done": done, "total": total, "values": finite})
+
+    def warn(self, message: str) -> None:
+        self._print({"warning": message})
+
+    def _print(self, event: dict[str, Any]) -> None:
+        print(json.dumps({"at": round(time.time(), 3), **event}), flush=True)
 
 
 class _Remaining:

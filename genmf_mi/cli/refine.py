@@ -7,14 +7,18 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from shlex import split
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import tyro
 
 from genmf_mi.cli.arguments import Switch
 from genmf_mi.core.config import PRESETS, RefineConfig
 from genmf_mi.core.errors import ConfigError
+from genmf_mi.core.progress import Progress
 from genmf_mi.core.regions import Regions
+
+if TYPE_CHECKING:
+    from genmf_mi.pipeline.results import Result
 
 SHOWN = ("loss", "grey_lpips", "ssim", "teacher_depth", "stress_band")
 """Loss terms beside the bar."""
@@ -53,6 +57,8 @@ class RefineArguments:
     """Continue an interrupted run."""
     save_exr: Switch = False
     """Also write grey, depth, normal and coverage of every shape and view as OpenEXR."""
+    json_progress: Switch = False
+    """Progress as lines of JSON on standard output, and no table: for programs (docs/http_api.md)."""
     quiet: Switch = False
     """No progress, only warnings and the table."""
     config: RefineConfig = field(default_factory=RefineConfig)
@@ -127,23 +133,15 @@ def parse_text(asset: str, arguments: str, command: str) -> RefineArguments:
 def main(arguments: list[str]) -> int:
     """Refine, and print the scores and where the files are."""
     chosen = parse(arguments)
-    from genmf_mi.cli.progress import TerminalProgress
-    from genmf_mi.pipeline.refinement import refine
+    from genmf_mi.cli.progress import JsonProgress, TerminalProgress
 
     out = chosen.out or Path("runs") / Path(chosen.asset).stem
     try:
+        if chosen.json_progress:
+            _refine(chosen, out, JsonProgress())
+            return 0
         with TerminalProgress(quiet=chosen.quiet, shown=SHOWN) as progress:
-            result = refine(
-                chosen.asset,
-                chosen.config,
-                out=out,
-                verify=chosen.verify,
-                print_check=chosen.slicer if chosen.print_check else False,
-                force=chosen.force,
-                resume=chosen.resume,
-                progress=progress,
-                **chosen.options(),
-            )
+            result = _refine(chosen, out, progress)
     except (KeyboardInterrupt, SystemExit):
         from genmf_mi.pipeline.run_folder import RunFolder
 
@@ -154,6 +152,22 @@ def main(arguments: list[str]) -> int:
     if result.out != out:
         print(f"the run in {out} stays as it is until the new one is complete")
     return 0
+
+
+def _refine(chosen: RefineArguments, out: Path, progress: Progress) -> Result:
+    from genmf_mi.pipeline.refinement import refine
+
+    return refine(
+        chosen.asset,
+        chosen.config,
+        out=out,
+        verify=chosen.verify,
+        print_check=chosen.slicer if chosen.print_check else False,
+        force=chosen.force,
+        resume=chosen.resume,
+        progress=progress,
+        **chosen.options(),
+    )
 
 
 def print_result(metrics: dict, out: Path) -> None:

@@ -16,6 +16,15 @@ Up = tuple[float, float, float]
 """Unit vector away from the print bed, in the normalised frame."""
 UPRIGHT: Up = (0.0, 1.0, 0.0)
 """Of a part that is printed as the object stands."""
+DIRECTIONS: dict[str, Up] = {
+    "upright": UPRIGHT,
+    "upside-down": (0.0, -1.0, 0.0),
+    "on-back": (0.0, 0.0, 1.0),
+    "on-front": (0.0, 0.0, -1.0),
+    "on-left": (1.0, 0.0, 0.0),
+    "on-right": (-1.0, 0.0, 0.0),
+}
+"""What points away from the print bed, by the way of standing."""
 _UPRIGHT_AXES = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """The axes of the print frame in the normalised one, as rows, of a part that is printed as it stands: 90° about x."""
 

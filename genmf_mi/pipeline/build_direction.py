@@ -28,7 +28,7 @@ SUPPORT_PRICE = 1.0
 class Candidate:
     """A way of standing, and what speaks for it.
 
-    name: of :data:`genmf_mi.pipeline.poses.DIRECTIONS`, or ``tilted``.
+    name: of :data:`genmf_mi.core.frame.DIRECTIONS`, or ``tilted``.
     lpips: of the displacement by brightness, predicted as printed; None without layers that can be seen.
     overhang_share: of the surface. height_mm: of the part on the bed.
     cost: what decides, see :func:`choose`; None where the bed of the printer is too small.

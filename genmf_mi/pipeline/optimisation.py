@@ -33,6 +33,8 @@ from genmf_mi.render.bridge import Buffers
 
 CHECKPOINT_EVERY = 25
 """Iterations between checkpoints."""
+SHOWING_SHARE = 0.04
+"""Of the time, at most, for pictures of the part between the checkpoints."""
 WARM_UP, COOL_DOWN = 10, 0.4
 """Iterations over which the learning rate grows to its full size, and the share of all iterations over which it falls
 again."""
@@ -108,9 +110,10 @@ def optimise(
 ) -> bool:
     """Make all iterations that are left, saving checkpoints on the way.
 
-    show: is given the vertices and the faces before the first iteration and at every checkpoint.
+    show: is given the vertices and the faces before the first iteration, and again and again on the way.
 
-    A KeyboardInterrupt ends the optimisation with the last complete iteration; a SystemExit saves that and goes on.
+    A KeyboardInterrupt, or a request to stop in the run folder, ends the optimisation with the last complete iteration;
+    a SystemExit saves that and goes on.
 
     Returns:
         Whether it was interrupted.
@@ -120,7 +123,8 @@ def optimise(
         optimisation.restore(checkpoint)
     progress.stage("refining")
 
-    _show(optimisation, show)
+    pictures = _Pictures(optimisation, show)
+    pictures.take()
     checkpoint, interrupted = optimisation.checkpoint(), False
     try:
         for record in iterations(optimisation):
@@ -130,7 +134,13 @@ def optimise(
                 memory.trim_malloc()
                 if run is not None:
                     run.save(checkpoint, optimisation.history)
-                _show(optimisation, show)
+                pictures.take()
+            elif pictures.due:
+                pictures.take()
+            if run is not None and run.stop_requested and optimisation.iteration < optimisation.config.iterations:
+                interrupted = True
+                progress.stage("asked to stop: finishing with the relief so far")
+                break
     except KeyboardInterrupt:
         interrupted = True
         optimisation.restore(checkpoint)  # it may have come in the middle of a step
@@ -144,11 +154,25 @@ def optimise(
     return interrupted
 
 
-@torch.no_grad()
-def _show(optimisation: Optimisation, show: Callable[[Tensor, Tensor | None], None] | None) -> None:
-    if show is not None:
-        geometry = optimisation.parameterization.geometry()
-        show(geometry.vertices, geometry.faces)
+class _Pictures:
+    """Shows the part so far, and knows when that can be afforded again."""
+
+    def __init__(self, optimisation: Optimisation, show: Callable[[Tensor, Tensor | None], None] | None) -> None:
+        self._optimisation, self._show = optimisation, show
+        self._cost = self._last = 0.0
+
+    @property
+    def due(self) -> bool:
+        return time.perf_counter() - self._last > self._cost / SHOWING_SHARE
+
+    @torch.no_grad()
+    def take(self) -> None:
+        if self._show is not None:
+            start = time.perf_counter()
+            geometry = self._optimisation.parameterization.geometry()
+            self._show(geometry.vertices, geometry.faces)
+            self._last = time.perf_counter()
+            self._cost = self._last - start
 
 
 def iterations(optimisation: Optimisation) -> Iterator[dict[str, Any]]:

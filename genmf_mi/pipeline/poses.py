@@ -8,19 +8,10 @@ from typing import Any
 import numpy as np
 
 from genmf_mi.core.config import Stand
-from genmf_mi.core.frame import UPRIGHT, Up
+from genmf_mi.core.frame import DIRECTIONS, UPRIGHT, Up
 from genmf_mi.geometry.displacement_bounds import base
 from genmf_mi.mesh.measures import face_areas, face_normals
 
-DIRECTIONS: dict[str, Up] = {
-    "upright": UPRIGHT,
-    "upside-down": (0.0, -1.0, 0.0),
-    "on-back": (0.0, 0.0, 1.0),
-    "on-front": (0.0, 0.0, -1.0),
-    "on-left": (1.0, 0.0, 0.0),
-    "on-right": (-1.0, 0.0, 0.0),
-}
-"""What points away from the print bed, by the way of standing."""
 LIKELIEST, LIKELY = 5, 0.03
 """So many of the ways in which the part comes to rest when it is dropped at random are candidates, each at least so
 likely."""
@@ -40,7 +31,8 @@ _CELLS = 50
 class Pose:
     """How a part stands on the bed.
 
-    name: of :data:`DIRECTIONS`, or ``tilted``. up: unit vector away from the bed. asked: for, in the settings.
+    name: of :data:`genmf_mi.core.frame.DIRECTIONS`, or ``tilted``. up: unit vector away from the bed.
+    asked: for, in the settings.
     unsteady: nothing flat of it lies on the bed, see :func:`genmf_mi.geometry.displacement_bounds.base`.
     """
 

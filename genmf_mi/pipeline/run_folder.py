@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 CONFIG, HISTORY, CHECKPOINT, METRICS = "config.yaml", "metrics.jsonl", "checkpoint.pt", "metrics.json"
 PREVIEW, BEFORE_AFTER, REPORT, AS_PRINTED = "preview.png", "before_after.png", "report.html", "as_printed.png"
 MASKS = tuple(MASK_FILE + suffix for suffix in MASK_IMAGES + MASK_MESHES)
+STOP = "stop"
+"""A file of this name, put into the folder by anybody, asks the run to finish with what there is."""
 FILES = (
     REGIONS_FILE, *MASKS,
     CONFIG, HISTORY, CHECKPOINT, METRICS, PREVIEW, BEFORE_AFTER, REPORT, AS_PRINTED, PRINT_3MF, PRINT_STL, COLOURED_GLB,
@@ -81,6 +83,7 @@ class RunFolder:
 
         folder = cls(Path(path))
         folder.settle()
+        (folder.path / STOP).unlink(missing_ok=True)
         grown = cls(folder.path / REPLACEMENT, folder.path)
         if not grown.interrupted:
             grown.discard()
@@ -182,6 +185,11 @@ class RunFolder:
         """Whether there is a run to resume."""
         return any((folder / CHECKPOINT).exists() for folder in (self.path, self.path / REPLACEMENT))
 
+    @property
+    def stop_requested(self) -> bool:
+        """Whether somebody wants the run to finish with what there is."""
+        return any((folder / STOP).exists() for folder in (self.path, self.replaces) if folder is not None)
+
     def require(self, settings: dict[str, Any]) -> None:
         """Raise :class:`ConfigError` if the run was started with other ``settings``; the device does not count."""
         before, settings = self.settings(), dict(settings)
@@ -252,11 +260,12 @@ class RunFolder:
         return checkpoint, history
 
     def finish(self, metrics: dict[str, Any]) -> None:
-        """Write ``metrics.json``, and remove the preview and, unless the run was interrupted, the checkpoint. A
-        complete run then takes the place of the one that it replaces. Raises :class:`OutputError`."""
+        """Write ``metrics.json``, and remove the preview, a request to stop and, unless the run was interrupted, the
+        checkpoint. A complete run then takes the place of the one that it replaces. Raises :class:`OutputError`."""
         self._keep_settings()
         write_text(self.path / METRICS, json.dumps(metrics, indent=2) + "\n")
-        (self.path / PREVIEW).unlink(missing_ok=True)
+        for name in (PREVIEW, STOP):
+            (self.path / name).unlink(missing_ok=True)
         if metrics.get("interrupted"):
             return
         if self.replaces is None:

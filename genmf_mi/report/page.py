@@ -32,6 +32,9 @@ NOT_COMPARED = ("stress", "stand", "pieces", "asset_notes", "regions")
 _SIDE = 480
 """Longest side of the pictures per view in pixels; larger images are reduced."""
 
+MODULES = ("shaders.js", "geometry.js", "gestures.js", "viewer.js", "packed.js", "report.js")
+"""Of the script in the page, each after what it imports."""
+
 
 @dataclass(frozen=True)
 class Figure:
@@ -68,7 +71,7 @@ def render(report: Report) -> str:
     return environment.from_string(_file("page.html")).render(
         report=report,
         style=Markup(_file("page.css")),
-        script=Markup(_file("viewer.js")),
+        script=Markup(_script()),
         tiles=tiles(report),
         hero=_hero(by_change(report.views)[0]),
         views=[(view.label, _figures(view, report.cap_mm)) for view in report.views],
@@ -155,6 +158,13 @@ def _samples(history: list[dict], names: list[str], count: int = 11) -> list[lis
 
 def _is_log(value: object) -> bool:
     return isinstance(value, (list, tuple)) and bool(value) and all(isinstance(line, str) for line in value)
+
+
+def _script() -> str:
+    """The modules of the 3D view as one, since a single file can import nothing."""
+    parts = [_file(name) for name in MODULES]
+    lines = [line for part in parts for line in part.splitlines() if not line.startswith("import ")]
+    return "\n".join(line.removeprefix("export ") for line in lines)
 
 
 def _file(name: str) -> str:

@@ -12,10 +12,10 @@ from toys import stripes
 
 import genmf_mi
 from genmf_mi.assets.asset import Asset
-from genmf_mi.core.frame import UPRIGHT
+from genmf_mi.core.frame import DIRECTIONS, UPRIGHT
 from genmf_mi.core.printer import PRINTERS
 from genmf_mi.geometry.displacement_bounds import base
-from genmf_mi.pipeline.poses import DIRECTIONS, candidates, pose
+from genmf_mi.pipeline.poses import candidates, pose
 from genmf_mi.pipeline.print_check import print_check
 from genmf_mi.report import tables
 from genmf_mi.report.remarks import remarks

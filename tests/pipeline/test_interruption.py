@@ -19,7 +19,7 @@ from genmf_mi.core.errors import ConfigError, OutputError
 from genmf_mi.geometry import uniform_adam
 from genmf_mi.pipeline import optimisation
 from genmf_mi.pipeline.checkpoint import Checkpoint
-from genmf_mi.pipeline.run_folder import CHECKPOINT
+from genmf_mi.pipeline.run_folder import CHECKPOINT, STOP
 
 SCORES = {"ssim", "lpips_alex", "lpips_vgg", "g_ssim", "g_lpips"}
 
@@ -77,6 +77,28 @@ class TestInterrupted:
         resumed = genmf_mi.refine(toy, CONFIG, out=tmp_path / "run", scene=two_views, resume=True, progress=heard)
         assert [done for done, *_ in heard.records] == [5, 6]  # from the checkpoint after the fourth iteration
         assert [line["iteration"] for line in resumed.history] == list(range(6))
+        assert difference_mm(resumed, twin) < TOLERANCE_MM
+
+    def test_by_a_request_in_its_folder_and_resumed(self, toy, two_views, twin, tmp_path):
+        """A file asks the run to stop; one that was left before it began asks for nothing."""
+
+        class Asking(Recorder):
+            def advance(self, done, total, values=None):
+                super().advance(done, total, values)
+                if values is not None and done in (2, CONFIG.iterations):
+                    (tmp_path / "run" / STOP).touch()
+
+        (tmp_path / "run").mkdir()
+        (tmp_path / "run" / STOP).touch()
+        stopped = genmf_mi.refine(toy, CONFIG, out=tmp_path / "run", scene=two_views, progress=Asking())
+        assert stopped.metrics["interrupted"] is True and stopped.metrics["iterations"] == 2
+        assert {"refined.3mf", "report.html", CHECKPOINT} <= set(os.listdir(tmp_path / "run"))
+        assert STOP not in os.listdir(tmp_path / "run")
+        resumed = genmf_mi.refine(
+            toy, CONFIG, out=tmp_path / "run", scene=two_views, resume=True, progress=Asking()
+        )  # a request after the last iteration changes nothing
+        assert resumed.metrics["interrupted"] is False and resumed.metrics["iterations"] == CONFIG.iterations
+        assert {CHECKPOINT, STOP}.isdisjoint(os.listdir(tmp_path / "run"))
         assert difference_mm(resumed, twin) < TOLERANCE_MM
 
     def test_the_asset_was_changed_meanwhile(self, toy, two_views, tmp_path):

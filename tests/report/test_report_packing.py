@@ -75,7 +75,7 @@ def test_view_is_lit_as_the_renders_are(report):
     page = html.document_fromstring(render(report))
     assert json.loads(page.get_element_by_id("mesh-meta").text)["material"] == MATERIAL
     script = page.xpath("//script")[-1].text
-    shader = script[script.index("FRAGMENT_SHADER") : script.index("linkProgram")]
+    shader = script[script.index("const FRAGMENT") : script.index("function vertexNormals")]
     for name in MATERIAL:
         assert re.search(rf'material\.{name}\b|"{name}"', script), name
         assert name == "lights" or re.search(rf"uniform [^;]*\b{name}\b[^;]*;", shader), name
