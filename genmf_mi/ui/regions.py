@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from math import isfinite
+import json
 from typing import Any
 
 from genmf_mi.core.errors import ConfigError
+from genmf_mi.core.regions import KINDS, Regions
 
-FORMAT, VERSION = "genmf-regions", 1
-KINDS = ("flat", "stronger", "matters", "erase")
+__all__ = ["KINDS", "checked"]
+
 MAX_STROKES, MAX_POINTS = 5000, 200_000
 
 
@@ -16,36 +17,13 @@ def checked(regions: object) -> dict[str, Any] | None:
     """The regions, or None if there are none.
 
     Raises:
-        ConfigError: they are not as docs/http_api.md describes them.
+        ConfigError: they are not as docs/regions.md describes them, or too many.
     """
-    if regions is None:
+    if regions is None or (isinstance(regions, dict) and regions.get("strokes") == []):
         return None
-    if not isinstance(regions, dict) or regions.get("format") != FORMAT or regions.get("version") != VERSION:
-        raise ConfigError(f'regions must have "format": "{FORMAT}" and "version": {VERSION}.')
-    strokes = regions.get("strokes")
-    if not isinstance(strokes, list) or len(strokes) > MAX_STROKES:
-        raise ConfigError(f"regions must have up to {MAX_STROKES} strokes.")
-    if not strokes:
-        return None
-    count = sum(_points(stroke) for stroke in strokes)
-    if count > MAX_POINTS:
-        raise ConfigError(f"regions have {count} points; up to {MAX_POINTS} can be used.")
-    return {"format": FORMAT, "version": VERSION, "strokes": strokes}
-
-
-def _points(stroke: Any) -> int:
-    """The number of points of a stroke. Raises :class:`ConfigError`."""
-    if not isinstance(stroke, dict) or stroke.get("kind") not in KINDS:
-        raise ConfigError(f"a stroke must be of a kind of {', '.join(KINDS)}.")
-    for name in ("radius_mm", "factor"):
-        value = stroke.get(name, 1.0)
-        if not isinstance(value, (int, float)) or not (isfinite(value) and value > 0):
-            raise ConfigError(f"{name} of a stroke must be positive.")
-    points, normals = stroke.get("points"), stroke.get("normals")
-    if not (isinstance(points, list) and isinstance(normals, list) and points and len(points) == len(normals)):
-        raise ConfigError("a stroke must have as many normals as points.")
-    for vector in (*points, *normals):
-        good = isinstance(vector, list) and len(vector) == 3
-        if not good or not all(isinstance(x, (int, float)) and isfinite(x) for x in vector):
-            raise ConfigError("points and normals of a stroke must be three numbers each.")
-    return len(points)
+    strokes = Regions.from_json(json.dumps(regions), "the request").strokes
+    count = sum(len(stroke.points) for stroke in strokes)
+    if len(strokes) > MAX_STROKES or count > MAX_POINTS:
+        raise ConfigError(f"the request has {len(strokes)} strokes of {count} points, which is too much to work with.")
+    assert isinstance(regions, dict)
+    return regions

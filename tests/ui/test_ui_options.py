@@ -117,7 +117,7 @@ def test_regions_are_checked():
 @pytest.mark.parametrize(
     "change",
     [{"kind": "evil"}, {"points": []}, {"normals": []}, {"points": [[0, 0]]}, {"points": [[0, 0, "x"]]},
-     {"radius_mm": 0}, {"radius_mm": "4"}, {"factor": -1}, {"points": [[0, 0, float("nan")]]}],
+     {"radius_mm": 0}, {"radius_mm": "4"}, {"kind": "stronger", "factor": -1}, {"points": [[0, 0, float("nan")]]}],
 )  # fmt: skip
 def test_damaged_regions_are_refused(change):
     with pytest.raises(ConfigError):
