@@ -9,11 +9,12 @@ import json
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Any, Literal, cast, get_args
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, Literal, cast, get_args
 
 from genmf_mi.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    import numpy as np
 
 FORMAT, VERSION = "genmf-regions", 1
 StrokeKind = Literal["flat", "stronger", "matters", "erase"]
@@ -61,7 +62,7 @@ class Stroke:
             object.__setattr__(self, name, rows)
         require(len(self.points) == len(self.normals), f"has {len(self.points)} points and {len(self.normals)} normals")
         require(
-            bool((np.linalg.norm(self.normals, axis=1) > 0).all()),
+            bool((self.normals != 0).any(axis=1).all()),
             "has a normal of length 0: normals point away from the surface",
         )
         for name in ("radius_mm", "factor"):
@@ -148,6 +149,8 @@ def _stroke(told: Any, name: str) -> Stroke:
 
 def _rows(values: Any) -> np.ndarray | None:
     """``float64 [N,3]``, N at least 1, or None if that is not what ``values`` are."""
+    import numpy as np  # here, as the help of the commands starts without it
+
     try:
         rows = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):

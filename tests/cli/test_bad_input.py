@@ -15,8 +15,8 @@ from toys import egg, painted
 
 from genmf_mi.cli import main as cli
 from genmf_mi.fabrication import files as fabrication
+from genmf_mi.losses import lpips_conversion, perceptual
 from genmf_mi.losses import lpips_weights as weights
-from genmf_mi.losses import perceptual
 from genmf_mi.mesh import solid
 from genmf_mi.pipeline import displacement, evaluation, evaluator, problem, refinement
 from genmf_mi.pipeline.run_folder import CHECKPOINT
@@ -100,7 +100,7 @@ BAD = {
     "reference missing": (lambda: toy("--reference", "a.png@0,0"), r"reference image a\.png", "No such file"),
     "reference of nothing": (lambda: toy("--reference", picture()), r"white\.png is empty", "everything in it is"),
     "no such scene": (lambda: toy("--scene", "my.xml"), r"no scene file my\.xml", "genmf-mi scene"),
-    "scene of a device": (lambda: toy("--scene", "/dev/zero"), "/dev/zero is no file", "genmf-mi scene"),
+    "scene of a device": (lambda: toy("--scene", "/dev/zero"), "/dev/zero is no XML file", "genmf-mi scene"),
     "unreadable XML": (lambda: scene_file("</scene>", ""), r"my\.xml is not readable as XML.*line \d+", "Fix it"),
     "XML with an unknown plugin": (lambda: scene_file('"multijitter"', '"magic"'), r"my\.xml.*magic", "Fix it"),
     "XML without twolight": (lambda: scene_file(BSDF, '<bsdf type="diffuse"/>'), r"my\.xml.*`twolight`", "genmf-mi"),
@@ -166,7 +166,7 @@ def test_can_be_mended_and_tried_again(capsys, monkeypatch):
 
 
 class TestMachine:
-    @pytest.mark.parametrize(("found", "message"), [((15, 0, 7), r"LLVM 15\.0\.7"), (None, "no LLVM library")])
+    @pytest.mark.parametrize(("found", "message"), [((15, 0, 7), r"LLVM 15\.0\.7"), (None, "there is no LLVM")])
     def test_llvm_too_old(self, found, message, capsys, monkeypatch):
         monkeypatch.setattr(variant, "llvm_version", lambda: found)
         assert cli.main(["refine", *toy("--device", "cpu")]) == 2
@@ -176,11 +176,17 @@ class TestMachine:
 
     @pytest.mark.parametrize("arguments", [["refine", "toy.ply"], ["evaluate", "toy.ply", "toy.ply"]])
     def test_no_lpips_weights(self, arguments, capsys, monkeypatch):
+        """They are fetched before the work begins; where that fails, nothing else does."""
         toy()
         monkeypatch.setenv("GENMF_LPIPS_WEIGHTS", "no weights")
         monkeypatch.setattr(
             weights, "missing", lambda: [n for n in weights.NETWORKS if not weights.weights_file(n).is_file()]
         )
+
+        def unreachable() -> None:
+            weights.require(*weights.NETWORKS)
+
+        monkeypatch.setattr(lpips_conversion, "install", unreachable)
         for module in (refinement, evaluation):
             monkeypatch.setattr(module, "build_problem", lambda *_, **__: pytest.fail("this comes later"))
         assert cli.main(arguments) == 2

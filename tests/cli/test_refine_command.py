@@ -38,7 +38,7 @@ class TestSettings:
 
         def fake(asset, config, *, progress, **options) -> SimpleNamespace:
             calls.append((asset, config, options))
-            return SimpleNamespace(metrics=METRICS)
+            return SimpleNamespace(metrics=METRICS, out=None)
 
         monkeypatch.setattr(refinement, "refine", fake)
 
@@ -51,7 +51,7 @@ class TestSettings:
     def test_defaults(self, chosen):
         asset, config, options = chosen("bus.glb")
         assert (asset, config) == ("bus.glb", RefineConfig())
-        assert options == {"out": Path("runs/bus"), "textured": None, "up": None, "scene": None, "references": (),
+        assert options == {"out": Path("runs/bus"), "textured": None, "up": None, "files_anywhere": False, "scene": None, "references": (),
                            "verify": False, "print_check": False, "force": False, "resume": False,
                            "save_exr": False}  # fmt: skip
 
@@ -86,10 +86,10 @@ class TestSettings:
         _, _, options = chosen("bus.npz", "--textured", "bus.glb", "--out", "here", "--scene", "my.xml", "--reference",
                                "a.png@0,10",
                                "--reference", "b.png@-90,5", "--verify", "--print-check", "--slicer", "own",
-                               "--force", "--save-exr",
+                               "--force", "--save-exr", "--files-anywhere",
                                "--quiet")  # fmt: skip
         assert options == {"out": Path("here"), "scene": Path("my.xml"), "force": True, "resume": False,
-                           "textured": Path("bus.glb"), "up": None,
+                           "textured": Path("bus.glb"), "up": None, "files_anywhere": True,
                            "references": ("a.png@0,10", "b.png@-90,5"), "verify": True, "print_check": "own",
                            "save_exr": True}  # fmt: skip
         assert chosen("bus.glb", "--resume")[2]["resume"]
@@ -139,7 +139,7 @@ def test_stress_is_printed_where_it_was_verified(monkeypatch, capsys):
     ratios = dict.fromkeys(("p99_9", "mean", "surface_band_mean", "surface_band_p99_9"), 1.25)
     shapes = {"shapes": {"before": stress, "after": stress}, "ratio": {"after": ratios}}
     metrics = {**METRICS, "unconstrained": ROW, "stress": shapes}
-    monkeypatch.setattr(refinement, "refine", lambda *_, **options: SimpleNamespace(metrics=metrics))
+    monkeypatch.setattr(refinement, "refine", lambda *_, **options: SimpleNamespace(metrics=metrics, out=None))
     assert cli.main(["refine", "toy.ply", "--quiet", "--verify"]) == 0
     text = capsys.readouterr().out
     assert "finite elements" in text and text.count("×1.25") == 4 and "unconstrained" in text
@@ -151,7 +151,7 @@ def test_warnings_are_printed(monkeypatch, capsys, quiet):
     def fake(*_, progress, **__) -> SimpleNamespace:
         progress.stage("loading")
         progress.warn("the walls are thin")
-        return SimpleNamespace(metrics=METRICS)
+        return SimpleNamespace(metrics=METRICS, out=None)
 
     monkeypatch.setattr(refinement, "refine", fake)
     assert cli.main(["refine", "toy.ply", *(["--quiet"] if quiet else [])]) == 0

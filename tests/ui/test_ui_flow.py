@@ -57,7 +57,7 @@ def near(points: np.ndarray, strokes: list[dict], margin_mm: float) -> np.ndarra
     return found
 
 
-@pytest.mark.skipif(bool(lpips_weights.missing("alex")), reason="the LPIPS weights are not installed")
+@pytest.mark.skipif("alex" in lpips_weights.missing(), reason="the LPIPS weights are not installed")
 def test_from_a_file_to_a_print(tmp_path):
     ball = checkered_ball(tmp_path / "ball.glb")
     server = Served(tmp_path / "workspace")
