@@ -77,7 +77,7 @@ CATALOGUE = (
               "README, Mesh or field?; docs/generators.md", ("assets",)),
     Benchmark("stress_stage", "stress_stage.json", "five assets with and without the stress stage", 40,
               "docs/stress.md, What relief does to the stress", ("assets",)),
-    Benchmark("stress_regime", "stress_regime.json", "what relief of 1 to 8 mm adds to the stress", 40,
+    Benchmark("stress_regime", "stress_regime.json", "what relief adds to the stress: caps, routes, weights", 120,
               "docs/stress.md, What relief does to the stress", ("assets",)),
     Benchmark("stress_limit", "stress_limit.json", "how far relief can lower the stress at all", 12,
               "docs/stress.md, What relief does to the stress", ("assets",)),
