@@ -54,9 +54,12 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Replace links to files that are not on the site by their names, and ``$$...$$`` and ``$...$`` by MathML."""
     known = {file.src_uri for file in files}
+    elsewhere = {f"../{path.relative_to(ROOT).as_posix()}": name for name, path in GENERATED.items()}
 
     def link(match: re.Match[str]) -> str:
         target = match[2].partition("#")[0]
+        if target in elsewhere:
+            return f"[{match[1]}]({elsewhere[target]})"
         return match[0] if not target or target.startswith("http") or target in known else match[1]
 
     markdown = re.sub(r"(?<!!)\[([^\]]*)\]\(([^)\s]+)\)", link, markdown)

@@ -29,7 +29,8 @@ def test_csv_and_jsonl_say_the_same():
         "\ufeffasset, name ,size-mm,printer,up,stress,view_jitter,grey_lpips,reference,verify\n"
         'bus.glb,,60,fdm-0.2,-z,no,"10,5",2,front.png@0;/side.png@90,true\n'
         "\n"
-        "ball,my ball,,,,,,,,\n"
+        "ball,my ball,,,,,,,,\n",
+        encoding="utf-8",
     )
     rows = [
         {"asset": "bus.glb", "size_mm": 60, "printer": "fdm-0.2", "up": "-z", "stress": False, "view_jitter": [10, 5],

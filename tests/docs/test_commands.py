@@ -17,7 +17,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), ROOT / "inte
 OURS = {"genmf-mi", "env/bin/genmf-mi"}
 OTHERS = {
     "make", "python", "pip", "sudo", "docker", "uv", "uvx", "git", "curl", "ls", "cd", "export", "source", "for",
-    "done",
+    "done", "ray", "sbatch", "kubectl", "case",
 }  # fmt: skip
 """What else may stand at the beginning of a line."""
 
@@ -90,7 +90,7 @@ def test_other_commands_are_known(page):
     """A line begins with a program that the test knows, or one that the project brings."""
     for words in commands(page):
         while words and re.fullmatch(r"\w+=.*", words[0]):
-            words = words[1:]
+            words = [words[0].partition("=$(")[2], *words[1:]] if "=$(" in words[0] else words[1:]
         program = words[0] if words else "true"
         assert program in OURS | OTHERS or (ROOT / program).is_file() or program == "true", shlex.join(words)
         for target in words[1:] if program == "make" else ():

@@ -23,10 +23,11 @@ async function begin() {
   painting = new Paint($("painting"), viewer, save);
   progress = new Progress($("progress"));
   result = new Result($("result"), viewer);
-  connect();
   words();
   await refreshJobs();
   await open(location.hash.match(/^#job=([\w-]+)$/)?.[1] ?? null);
+  connect();
+  takeChosen(); // a file that was chosen before the page could listen
   setInterval(refreshJobs, 3000);
 }
 
@@ -39,11 +40,17 @@ function words() {
   render();
 }
 
+function takeChosen() {
+  const files = [...$("file").files];
+  $("file").value = "";
+  if (files.length) take(files);
+}
+
 function connect() {
   $("language").addEventListener("change", async () => { await loadTexts($("language").value); words(); });
   $("home").addEventListener("click", () => open(null));
   $("choose").addEventListener("click", () => $("file").click());
-  $("file").addEventListener("change", () => { take([...$("file").files]); $("file").value = ""; });
+  $("file").addEventListener("change", takeChosen);
   $("sample").addEventListener("click", sample);
   $("lamp").addEventListener("input", () => viewer.set({ lamp: Number($("lamp").value) }));
   $("split").addEventListener("input", () => viewer.set({ split: Number($("split").value) / 1000 }));
