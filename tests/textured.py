@@ -9,9 +9,12 @@ import trimesh
 from PIL import Image
 
 
-def checkered_ball(path: str | Path, squares: int = 8) -> Path:
-    """Write a ball of radius 1 with a checkerboard of two colours, in the format of the suffix; returns the path."""
-    rows, columns = 24, 48
+def checkered_ball(path: str | Path, squares: int = 8, rows: int = 24) -> Path:
+    """Write a ball of radius 1 with a checkerboard of two colours, in the format of the suffix; returns the path.
+
+    rows: of its faces from pole to pole.
+    """
+    columns = 2 * rows
     polar, turn = np.meshgrid(np.linspace(0, 1, rows + 1), np.linspace(0, 1, columns + 1), indexing="ij")
     p, t = np.pi * polar.ravel(), 2 * np.pi * turn.ravel()
     vertices = np.stack([np.sin(p) * np.sin(t), np.cos(p), np.sin(p) * np.cos(t)], axis=1)

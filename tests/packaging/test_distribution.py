@@ -20,7 +20,7 @@ from genmf_mi import __version__
 from genmf_mi.losses import lpips_weights
 
 ROOT = Path(__file__).parents[2]
-DATA = (".css", ".html", ".js", ".xml", ".safetensors", ".typed")
+DATA = (".json", ".css", ".html", ".js", ".xml", ".safetensors", ".typed")
 
 
 @pytest.fixture(scope="module")

@@ -196,7 +196,7 @@ def test_nobody_is_shut_out(page, ball, scheme):
     assert axe_violations(page) == []
     page.set_viewport_size({"width": 390, "height": 800})
     assert axe_violations(page) == []
-    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    until(page, "document.documentElement.scrollWidth <= 390", 10)
 
 
 def test_german_and_keys_alone(page, ball):
