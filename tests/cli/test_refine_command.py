@@ -51,7 +51,8 @@ class TestSettings:
     def test_defaults(self, chosen):
         asset, config, options = chosen("bus.glb")
         assert (asset, config) == ("bus.glb", RefineConfig())
-        assert options == {"out": Path("runs/bus"), "textured": None, "up": None, "files_anywhere": False, "scene": None, "references": (),
+        assert options == {"out": Path("runs/bus"), "textured": None, "up": None,
+                           "files_anywhere": False, "scene": None, "references": (),
                            "verify": False, "print_check": False, "force": False, "resume": False,
                            "save_exr": False}  # fmt: skip
 

@@ -41,6 +41,7 @@ def test_whole(calls, capsys) -> None:
     ((asset, weights, config, options),) = calls
     assert (asset, weights, config) == ("toy.glb", (0.0, 2.0), replace(PRESETS["draft"], size_mm=80.0))
     assert options == {"out": Path("runs/toy-sweep"), "force": True, "textured": None, "up": None,
+                       "files_anywhere": False,
                        "scene": Path("a b.xml"),
                        "references": ("a.png@0,10",), "save_exr": False}  # fmt: skip
     captured = capsys.readouterr()
