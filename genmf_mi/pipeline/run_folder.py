@@ -83,7 +83,8 @@ class RunFolder:
 
         folder = cls(Path(path))
         folder.settle()
-        (folder.path / STOP).unlink(missing_ok=True)
+        if folder.is_ours:
+            (folder.path / STOP).unlink(missing_ok=True)
         grown = cls(folder.path / REPLACEMENT, folder.path)
         if not grown.interrupted:
             grown.discard()
@@ -100,7 +101,7 @@ class RunFolder:
         # Settings alone are of a run that failed before it had anything to lose
         claim_folder(
             path, "run", finished=(METRICS,), interrupted=(CHECKPOINT,), force=force, resume=resume,
-            foreign=() if folder.is_ours else FILES,
+            foreign=() if folder.is_ours else (*FILES, STOP),
         )  # fmt: skip
         sweep(path, FILES)
         if resume:

@@ -176,6 +176,16 @@ class TestOpen:
             with pytest.raises(OutputError, match=r"cannot (read|write)"):
                 started(folder, force=force)
 
+    def test_a_request_to_stop_counts_for_one_run_and_is_nobody_elses_file(self, tmp_path):
+        (tmp_path / "stop").write_text("mine")
+        with pytest.raises(OutputError, match="stop"):
+            started(tmp_path)
+        assert (tmp_path / "stop").read_text() == "mine"
+        run = started(tmp_path / "run")
+        run.save(state(1), lines(0, 1))
+        (run.path / "stop").touch()
+        assert run.stop_requested and not started(run.path, resume=True).stop_requested
+
     @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
     def test_without_permission(self, tmp_path):
         for mode in (0o500, 0o000):
