@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -101,6 +102,7 @@ def failing_at(file: str, error: BaseException, count: int = 1) -> Iterator[None
 
 def main() -> int:
     """The program."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # tests may run in the background, where it is ignored
     stop_at, arguments = sys.argv[1], sys.argv[2:]
     sys.path.insert(0, str(HERE.parent))
     from genmf_mi.cli.main import main as command
