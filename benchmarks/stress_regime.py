@@ -24,12 +24,11 @@ from genmf_mi.core.files import write_text
 from genmf_mi.core.frame import Frame
 from genmf_mi.mesh import solid
 from genmf_mi.render import variant
-from genmf_mi.sdf import distance
 from genmf_mi.stress.fem.settings import Settings
-from genmf_mi.stress.fem.simulation import Simulation, simulate_distance
+from genmf_mi.stress.fem.simulation import Simulation
 from genmf_mi.stress.fem.statistics import weighted_percentiles
+from genmf_mi.stress.report import verification
 from genmf_mi.stress.report.comparison import layer_ratio
-from genmf_mi.stress.report.verification import EDGE_MM
 
 ASSETS = ("hunyuan_bus", "sf3d_raccoon")
 CAPS_MM = (1.0, 2.0, 4.0, 10.0)
@@ -113,8 +112,7 @@ def untouched(path: Path) -> Simulation:
 
 def simulated(vertices: np.ndarray, faces: np.ndarray, frame: Frame) -> Simulation:
     """By fine elements, of a surface in the normalised frame."""
-    settings = Settings(size_mm=frame.size_mm, edge_mm=EDGE_MM)
-    return simulate_distance(distance.signed_distance(vertices, faces, settings.grid), frame, settings)
+    return verification.simulated(vertices, faces, frame, Settings(size_mm=frame.size_mm, edge_mm=verification.EDGE_MM))
 
 
 def figures(before: Simulation, after: Simulation, metrics: dict) -> dict:

@@ -11,18 +11,18 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import folder_paths  # of ComfyUI
 from comfy_api.latest import ComfyExtension, io, ui
 
-from genmf_mi.core.config import PRESETS, RefineConfig
+from genmf_mi.assets.asset import FORMATS as SUFFIXES
+from genmf_mi.core.config import PRESETS, RefineConfig, Stand
 from genmf_mi.core.printer import PRINTERS
 
 from .progress import ComfyProgress
 
 CATEGORY = "3d/genmf"
-SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".3mf", ".stl")
 SAMPLE = "sample: "
 """Before the name of a bundled sample, in the list of files."""
 FORMATS = {"3mf": "refined.3mf", "stl": "refined.stl", "glb": "refined.glb"}
@@ -87,7 +87,7 @@ class RefineRelief(io.ComfyNode):
     @classmethod
     def define_schema(cls) -> io.Schema:
         default = RefineConfig()
-        stands = ["upright", "best", "upside-down", "on-back", "on-front", "on-left", "on-right"]
+        stands = list(get_args(Stand))
         return io.Schema(
             node_id="GenmfRefineRelief",
             display_name="Refine Relief (genmf)",

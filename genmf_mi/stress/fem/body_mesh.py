@@ -11,6 +11,9 @@ from genmf_mi.stress.fem.tetrahedra import isosurface_stuffing
 FINEST, MOST_NODES = 0.025 * 2 * HALF_EXTENT, 15_000
 """Edge of the mesh in normalised units, 2.5 mm of 100; and nodes from which on it is longer, so that a solve takes
 about a second."""
+MIN_VOLUME_SHARE = 0.9
+"""Share of the body's volume that a mesh must hold: thin walls fall through a coarse mesh, and what is left of the body
+is no model of it."""
 
 
 def body_mesh(phi: np.ndarray, nodes: int = MOST_NODES, finest: float | None = None) -> tuple[TetMesh, float]:

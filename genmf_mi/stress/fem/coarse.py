@@ -18,6 +18,7 @@ from genmf_mi.core.errors import SolidError
 from genmf_mi.core.frame import Frame
 from genmf_mi.sdf.distance import sample
 from genmf_mi.stress.fem import materials, sensitivity
+from genmf_mi.stress.fem.body_mesh import MIN_VOLUME_SHARE, volume
 from genmf_mi.stress.fem.grid import locate_points
 from genmf_mi.stress.fem.problem import Problem
 from genmf_mi.stress.fem.settings import Settings
@@ -26,10 +27,9 @@ from genmf_mi.stress.fem.tetrahedra import isosurface_stuffing
 
 EDGE_MM = 2.5
 """Side of the lattice that the tetrahedra come from, on a part of 100 mm."""
-MIN_VOLUME_SHARE, EDGE_SHARES = 0.9, (1.0, 0.7, 0.5)
-"""Share of the body's volume that a mesh must hold, and the shares of the edge that are tried one after the other until
-one does: thin walls fall through a coarse mesh, and what is left of the body is no model of it. Thin bodies have few
-cells, so that a fine mesh costs no more."""
+EDGE_SHARES = (1.0, 0.7, 0.5)
+"""Shares of the edge that are tried one after the other until a mesh holds enough of the body
+(:data:`genmf_mi.stress.fem.body_mesh.MIN_VOLUME_SHARE`). Thin bodies have few cells: a fine mesh costs no more."""
 BEYOND_CELLS = 8.0
 """How far outside of the body the field is continued, by the value of the nearest point inside: relief may grow that
 far. In cells of the grid."""
@@ -155,14 +155,13 @@ def _coarse_mesh(phi: np.ndarray, edge: float) -> tuple[float, TetMesh]:
     Raises:
         SolidError: not even the finest holds anything of the body.
     """
-    cell = 2.0 / (phi.shape[0] - 1)
-    volume = np.clip(0.5 - phi / cell, 0, 1).sum() * cell**3
+    least = MIN_VOLUME_SHARE * volume(phi)
     for share in EDGE_SHARES[:-1]:
         try:
             mesh, _ = largest_component(isosurface_stuffing(phi, share * edge))
         except SolidError:
             continue
-        if mesh.volumes.sum() > MIN_VOLUME_SHARE * volume:
+        if mesh.volumes.sum() > least:
             return share * edge, mesh
     edge *= EDGE_SHARES[-1]
     return edge, largest_component(isosurface_stuffing(phi, edge))[0]

@@ -21,7 +21,7 @@ from genmf_mi.core.frame import HALF_EXTENT, Frame
 from genmf_mi.core.progress import Progress
 from genmf_mi.stress.fem import elasticity, materials
 from genmf_mi.stress.fem.assembly import P1
-from genmf_mi.stress.fem.body_mesh import body_mesh, volume
+from genmf_mi.stress.fem.body_mesh import MIN_VOLUME_SHARE, body_mesh, volume
 from genmf_mi.stress.fem.settings import Settings
 from genmf_mi.stress.fem.tet_mesh import TetMesh
 
@@ -34,8 +34,6 @@ RELEASED = 1e-7
 """Stiffness of the springs that keep the released part from floating away, relative to E over its height squared."""
 FINEST = 0.01 * 2 * HALF_EXTENT
 """Least edge of the mesh in normalised units, 1 mm of 100: thin parts have few cells and need small ones."""
-HELD = 0.9
-"""Share of the body's volume that the mesh must hold: thin walls fall through it."""
 BASE = 0.02
 """Height of what counts as the base, relative to that of the part: the part may stand on rounded feet."""
 
@@ -69,7 +67,7 @@ def warpage(phi: np.ndarray, frame: Frame, settings: Settings, progress: Progres
         mesh, edge = body_mesh(phi, finest=FINEST)
     except SolidError:
         return None
-    if mesh.volumes.sum() < HELD * volume(phi):
+    if mesh.volumes.sum() < MIN_VOLUME_SHARE * volume(phi):
         return None
     printed = mesh.with_points(frame.to_print(mesh.points))
     height = float(np.ptp(printed.points[:, 2]))

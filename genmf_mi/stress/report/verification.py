@@ -49,7 +49,7 @@ def verify(
     summaries, layers, before = {}, {}, None
     for name, (vertices, faces) in shapes.items():
         progress.stage(f"simulating the stress: {name}")
-        simulation = _simulated(vertices, faces, frame, settings)
+        simulation = simulated(vertices, faces, frame, settings)
         summaries[name] = summary_with_warpage(simulation, PrefixedProgress(progress, f"{name}: "))
         if name == "before":
             before = simulation  # the others are dropped, as each takes a gigabyte or more
@@ -81,7 +81,7 @@ def effect(
     return constrained, remains
 
 
-def _simulated(vertices: np.ndarray, faces: np.ndarray, frame: Frame, settings: Settings) -> Simulation:
+def simulated(vertices: np.ndarray, faces: np.ndarray, frame: Frame, settings: Settings) -> Simulation:
     """As :func:`genmf_mi.stress.fem.simulation.simulate`, of a surface that is in the normalised frame already."""
     phi = distance.signed_distance(vertices, faces, settings.grid)
     thin_fraction = distance.thin_fraction(vertices, faces, phi)
