@@ -80,7 +80,7 @@ class TestInterrupted:
         assert difference_mm(resumed, twin) < TOLERANCE_MM
 
     def test_by_a_request_in_its_folder_and_resumed(self, toy, two_views, twin, tmp_path):
-        """A file asks the run to stop; one that was left before it began asks for nothing."""
+        """A file asks the run to stop; one that was left before it went on asks for nothing."""
 
         class Asking(Recorder):
             def advance(self, done, total, values=None):
@@ -88,12 +88,11 @@ class TestInterrupted:
                 if values is not None and done in (2, CONFIG.iterations):
                     (tmp_path / "run" / STOP).touch()
 
-        (tmp_path / "run").mkdir()
-        (tmp_path / "run" / STOP).touch()
         stopped = genmf_mi.refine(toy, CONFIG, out=tmp_path / "run", scene=two_views, progress=Asking())
         assert stopped.metrics["interrupted"] is True and stopped.metrics["iterations"] == 2
         assert {"refined.3mf", "report.html", CHECKPOINT} <= set(os.listdir(tmp_path / "run"))
         assert STOP not in os.listdir(tmp_path / "run")
+        (tmp_path / "run" / STOP).touch()
         resumed = genmf_mi.refine(
             toy, CONFIG, out=tmp_path / "run", scene=two_views, resume=True, progress=Asking()
         )  # a request after the last iteration changes nothing

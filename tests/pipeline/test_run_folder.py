@@ -99,7 +99,9 @@ class TestOpen:
             started(tmp_path)
         assert {name: (tmp_path / name).read_bytes() for name in os.listdir(tmp_path)} == contents
 
-    @pytest.mark.parametrize("name", ["refined.glb", "refined.stl", "report.html", "metrics.json", "config.yaml"])
+    @pytest.mark.parametrize(
+        "name", ["refined.glb", "refined.stl", "report.html", "metrics.json", "config.yaml", "stop"]
+    )
     @pytest.mark.parametrize("force", [False, True])
     def test_files_of_somebody_else_are_never_replaced(self, tmp_path, name, force):
         """However they are called: without the settings of a run beside them they are not ours."""
