@@ -37,6 +37,9 @@ def evaluate(
     scene: str | Path | None = None,
     networks: tuple[Network, ...] = ("alex",),
     files_anywhere: bool = False,
+    normal_map: bool = RefineConfig.normal_map,
+    occlusion_map: bool = RefineConfig.occlusion_map,
+    emissive_map: bool = RefineConfig.emissive_map,
 ) -> dict[str, Any]:
     """Score a one-colour shape against a textured asset.
 
@@ -47,6 +50,7 @@ def evaluate(
         scene: scene file; the sample's own or ``default.xml`` if None.
         networks: LPIPS networks to score with.
         files_anywhere: let the files name others outside of their own folders, see :func:`genmf_mi.load`.
+        normal_map, occlusion_map, emissive_map: what counts as the look of the asset, as in :class:`RefineConfig`.
 
     Returns:
         ``asset``; ``before``, ``after`` and ``paper_alignment`` as in :meth:`Evaluator.verdicts`; and the same under
@@ -62,8 +66,11 @@ def evaluate(
         for a in (original, refined)
     )
     xml = Path(scene) if scene else scene_file.find(textured.name)
+    config = RefineConfig(
+        size_mm=size_mm, normal_map=normal_map, occlusion_map=occlusion_map, emissive_map=emissive_map
+    )
     with tempfile.TemporaryDirectory(prefix="genmf-") as folder:
-        problem = build_problem(textured, RefineConfig(size_mm=size_mm), xml, Path(folder))
+        problem = build_problem(textured, config, xml, Path(folder))
         longest = np.ptp(shape.vertices, axis=0).max()
         vertices, faces = topology.weld(shape.vertices, shape.faces, WELD * longest)
         vertices = Frame.of(vertices, size_mm).normalise(vertices)

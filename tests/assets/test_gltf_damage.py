@@ -70,6 +70,15 @@ class TestDamage:
         with pytest.raises(AssetError, match="texture coordinates that are not numbers"):
             asset.load(textured_quad(tmp_path / "b.glb", FOUR, uv))
 
+    @pytest.mark.parametrize("number", [np.nan, np.inf])
+    def test_vertex_colours_that_are_not_numbers(self, tmp_path, number):
+        gltf, _ = self.quad()
+        colours = np.full((4, 3), 0.5, np.float32)
+        colours[2, 1] = number
+        gltf.tree["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = gltf.accessor(colours)
+        with pytest.raises(AssetError, match="colours that are not numbers"):
+            asset.load(gltf.glb(tmp_path / "a.glb"))
+
     @pytest.mark.parametrize("uri", ["/etc/passwd", "../outside.bin", "/dev/zero"])
     def test_files_elsewhere_are_refused(self, tmp_path, uri):
         (tmp_path / "outside.bin").write_bytes(b"0" * 100)

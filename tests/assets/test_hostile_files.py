@@ -62,6 +62,14 @@ class TestCoordinates:
         with pytest.raises(AssetError, match="texture coordinates that are not numbers"):
             asset.load(obj(tmp_path / "a.obj", "mtllib a.mtl", "usemtl m", uv=f"{number} 1"))
 
+    @pytest.mark.parametrize("number", ["nan", "inf", "1e999"])
+    def test_vertex_colours_that_are_none(self, tmp_path, number):
+        corners = ["0 0 0 1 0 0", f"1 0 0 0 {number} 0", "0 1 0 0 0 1"]
+        path = tmp_path / "a.obj"
+        path.write_text("".join(f"v {corner}\n" for corner in corners) + "f 1 2 3\n")
+        with pytest.raises(AssetError, match="colours that are not numbers"):
+            asset.load(path)
+
     @pytest.mark.parametrize("colour", ["Kd nan 0 0", "Kd inf 0 0"])
     def test_colours_that_are_none(self, tmp_path, colour):
         (tmp_path / "a.mtl").write_text(f"newmtl m\n{colour}")

@@ -185,7 +185,7 @@ class TestEvaluate:
         """The default mesh and reference are far finer than such small pictures show."""
         monkeypatch.setattr(target, "FINEST", 40_000)
         settings = RefineConfig(max_faces=10_000, edge_mm=2.0)
-        monkeypatch.setattr(evaluation, "RefineConfig", lambda size_mm: replace(settings, size_mm=size_mm))
+        monkeypatch.setattr(evaluation, "RefineConfig", lambda **given: replace(settings, **given))
 
     def test_a_pair_of_files(self, tmp_path, two_views):
         """The painted shape against bumpy ones, as a GLB and as a print file, lying and in facets."""

@@ -30,6 +30,8 @@ def test_what_the_map_pretends_becomes_relief(two_views, tmp_path):
 def test_without_the_map_there_is_nothing_to_show(two_views, tmp_path):
     with pytest.raises(AssetError, match=r"no colours but in maps that are left out \(--normal-map"):
         genmf_mi.refine(mapped(tmp_path / "ball.glb"), replace(CONFIG, normal_map=False), scene=two_views)
+    with pytest.raises(AssetError, match=r"no colours but in maps that are left out \(--normal-map"):
+        genmf_mi.evaluate(tmp_path / "ball.glb", "ball", normal_map=False, scene=two_views)
 
 
 def test_what_cannot_be_used_is_said(two_views, tmp_path):

@@ -105,6 +105,8 @@ def _statements(
     colours = None
     if positions and all(len(row) in (6, 7) for row in positions):
         rgb = np.array([row[3:6] for row in positions])
+        if not np.isfinite(rgb).all():
+            raise AssetError(f"{path} has colours that are not numbers. Export it again.")
         colours = colour.numbers_to_linear(rgb)
     return vertices, colours, np.array(coordinates, dtype=np.float64).reshape(-1, 2), rings, libraries, names
 
