@@ -24,6 +24,10 @@ FORMATS = (".glb", ".gltf", ".obj", ".ply", ".3mf", ".stl")
 
 LARGEST_COORDINATE, FARTHEST = 1e15, 1e5
 """Of a vertex, in file units; and extent of an asset over that of all of it but a hundredth."""
+LARGEST_UV = 1e7
+"""Texture coordinates of 32 bits know no place in a texture from here on."""
+SMALLEST_SIDE = 1e-30
+"""Of an asset, in file units: 32-bit floats end at 1e-38, and need seven more digits."""
 _UP = {".3mf": "z", ".stl": "z"}
 _TO_Y_UP = {
     "x": [[0, -1, 0], [1, 0, 0], [0, 0, 1]],
@@ -188,6 +192,11 @@ def _require_sane(where: object, points: np.ndarray, albedo: Albedo, placed: tup
     if np.abs(points).max() > LARGEST_COORDINATE:
         raise AssetError(f"{where} has coordinates of {np.abs(points).max():.0e}. Scale it down and export it again.")
     low, inner_low, inner_high, high = np.percentile(points, [0, 1, 99, 100], axis=0)
+    if 0 < (high - low).max() < SMALLEST_SIDE:
+        raise AssetError(
+            f"{where} is {(high - low).max():.0e} units large, which its files cannot hold. Scale it up and export it "
+            "again."
+        )
     inner = (inner_high - inner_low).max()
     if (high - low).max() > FARTHEST * inner > 0:
         raise AssetError(
@@ -199,8 +208,10 @@ def _require_sane(where: object, points: np.ndarray, albedo: Albedo, placed: tup
             raise AssetError(f"{where} has {what} that are not numbers (NaN or infinite). Repair or export it again.")
     if not np.isfinite([material.factor for material in albedo.materials]).all():
         raise AssetError(f"{where} has a base colour that is no number (NaN or infinite). Repair or export it again.")
-    if not np.isfinite([each.maps.emission for each in placed]).all():
-        raise AssetError(f"{where} has an emissive colour that is no number (NaN or infinite). Export it again.")
+    if np.abs(albedo.uv).max(initial=0) > LARGEST_UV:
+        raise AssetError(f"{where} has texture coordinates of {np.abs(albedo.uv).max():.0e}. Export it again.")
+    if not (np.abs([each.maps.emission for each in placed]) < LARGEST_COORDINATE).all():
+        raise AssetError(f"{where} has an emissive colour that is no sensible number. Export it again.")
 
 
 def load(path: str | Path, up: str | None = None, *, files_anywhere: bool = False) -> Asset:

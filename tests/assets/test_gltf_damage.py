@@ -70,6 +70,21 @@ class TestDamage:
         with pytest.raises(AssetError, match="texture coordinates that are not numbers"):
             asset.load(textured_quad(tmp_path / "b.glb", FOUR, uv))
 
+    @pytest.mark.parametrize("number", [-1e300, 1.5, 1e300])
+    def test_factors_beyond_what_the_format_allows(self, tmp_path, number):
+        gltf, _ = self.quad()
+        gltf.tree["materials"] = [{"pbrMetallicRoughness": {"baseColorFactor": [number, 0.5, 0.5, 1]}}]
+        gltf.tree["meshes"][0]["primitives"][0]["material"] = 0
+        found = asset.load(gltf.glb(tmp_path / "a.glb"))
+        expected = [float(number > 0), 0.5, 0.5]
+        np.testing.assert_allclose(found.closest_albedo(found.vertices[:1]), [expected], atol=1e-6)
+
+    def test_texture_coordinates_beyond_all_textures(self, tmp_path):
+        uv = UNIT_UV.copy()
+        uv[1, 0] = 1e30
+        with pytest.raises(AssetError, match=r"texture coordinates of 1e\+30"):
+            asset.load(textured_quad(tmp_path / "a.glb", FOUR, uv))
+
     @pytest.mark.parametrize("number", [np.nan, np.inf])
     def test_vertex_colours_that_are_not_numbers(self, tmp_path, number):
         gltf, _ = self.quad()

@@ -53,6 +53,14 @@ class TestCoordinates:
         with pytest.raises(AssetError, match=r"coordinates of \de\+\d+\. Scale it down"):
             asset.load(obj(tmp_path / "a.obj", corner=f"{number} 1 1"))
 
+    @pytest.mark.parametrize("scale", [1e-45, 1e-31])
+    def test_tiny_ones(self, tmp_path, scale):
+        """Files of 32-bit floats round them to nothing."""
+        path = tmp_path / "a.obj"
+        path.write_text(f"v 0 0 0\nv {scale} 0 0\nv 0 {scale} 0\nf 1 2 3\n")
+        with pytest.raises(AssetError, match=r"is 1e-\d+ units large.* Scale it up"):
+            asset.load(path)
+
     @pytest.mark.parametrize("number", ["nan", "inf", "1e999"])
     def test_none(self, tmp_path, number):
         with pytest.raises(AssetError, match="not numbers"):

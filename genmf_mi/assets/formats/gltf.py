@@ -176,7 +176,7 @@ class _Reader:
                 factor, image, glows = [*material["emissiveFactor"], 1], light, False
         mode = material.get("alphaMode", "OPAQUE")
         cutoff = {"MASK": float(material.get("alphaCutoff", 0.5)), "BLEND": 0.5}.get(mode)
-        red, green, blue = map(float, factor[:3])
+        red, green, blue = map(float, np.clip(factor[:3], 0, 1))  # what the format allows (3.9.2)
         opacity = float(factor[3]) if len(factor) > 3 else 1.0
         name = str(material.get("name", ""))
         if image is None:
