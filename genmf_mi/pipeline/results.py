@@ -309,7 +309,7 @@ def write_pictures(
         faces=surface.faces,
         colours=rgb,
         relief_mm=outcome.relief_mm,
-        cap_mm=outcome.config.max_relief_mm,
+        cap_mm=outcome.config.max_relief_mm * (1.0 if problem.regions is None else float(problem.regions.cap.max())),
         size_mm=outcome.config.size_mm,
         material=scorer.scene.material,
         steps=problem.report,

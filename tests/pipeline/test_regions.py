@@ -155,14 +155,16 @@ class TestRun:
             with pytest.raises(ConfigError, match=message):
                 genmf_mi.refine(toy, replace(CONFIG, **changes), scene=two_views)
 
-    def test_stronger_and_matters(self, toy, two_views, twin):
+    def test_stronger_and_matters(self, toy, two_views, twin, tmp_path):
         strokes = Regions((dab("stronger", 45.0, 2.0), dab("matters", 30.0, 3.0, x=-1.0)))
-        result = genmf_mi.refine(toy, replace(CONFIG, regions=strokes), scene=two_views)
+        result = genmf_mi.refine(toy, replace(CONFIG, regions=strokes), out=tmp_path / "run", scene=two_views)
         moved, outside = np.abs(result.relief_mm), outside_mm(result, toy, dab())
         assert moved[outside < 0].max() > 1.2 * np.abs(twin.relief_mm).max()
         assert moved[outside > 3].max() <= CONFIG.max_relief_mm + 1e-6
         assert moved.max() <= 2 * CONFIG.max_relief_mm + 1e-6
         assert result.metrics["regions"]["weighted_cm2"] > result.metrics["regions"]["stronger_cm2"] > 0
+        allowed = f"of {2 * CONFIG.max_relief_mm:g}\N{NO-BREAK SPACE}mm allowed"
+        assert allowed in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
 
 
 def test_of_a_field(two_views):
