@@ -112,3 +112,9 @@ def small_refinements(lpips_weights) -> Iterator[None]:
         patch.setattr(optimisation, "CHECKPOINT_EVERY", 2)
         patch.setattr(problem, "DETAIL_MM", 60.0)  # edges of 3 mm hold no detail of a real part
         yield
+
+
+@pytest.fixture
+def coarse_warpage(monkeypatch) -> None:
+    """Warpage by meshes of some hundred nodes; it is a dozen solves, on a mesh of its own."""
+    monkeypatch.setattr("genmf_mi.stress.fem.warpage.FINEST", 0.2)

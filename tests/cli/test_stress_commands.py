@@ -25,6 +25,8 @@ from genmf_mi.stress.report import output, picture
 from genmf_mi.stress.training import trainer
 from genmf_mi.stress.training.config import TrainConfig
 
+pytestmark = pytest.mark.usefixtures("coarse_warpage")
+
 COARSE = {"edge_mm": 8.0, "grid": 33, "picture": False}
 
 

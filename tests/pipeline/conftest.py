@@ -33,7 +33,7 @@ def twin(toy, small_refinements, two_views):
 
 
 @pytest.fixture
-def coarse_verification(monkeypatch) -> None:
+def coarse_verification(coarse_warpage, monkeypatch) -> None:
     from genmf_mi.stress.report import verification
 
     monkeypatch.setattr(verification, "EDGE_MM", 8.0)
