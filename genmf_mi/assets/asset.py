@@ -19,8 +19,8 @@ from genmf_mi.core.errors import AssetError, ConfigError, GenmfError
 from genmf_mi.core.text import printable
 from genmf_mi.mesh.nearest import Nearest, barycentric
 
-FORMATS = (".glb", ".gltf", ".obj", ".ply", ".3mf", ".stl")
-"""Suffixes that :func:`load` reads."""
+FORMATS = (".glb", ".gltf", ".obj", ".3mf", ".ply", ".stl")
+"""Suffixes that :func:`load` reads, those that say most about colours first."""
 
 LARGEST_COORDINATE, FARTHEST = 1e15, 1e5
 """Of a vertex, in file units; and extent of an asset over that of all of it but a hundredth."""

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import ast
 import inspect
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, replace
 from functools import lru_cache
 from math import isfinite
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
+from genmf_mi.assets.asset import FORMATS
 from genmf_mi.core import config
 from genmf_mi.core.config import PRESETS, RefineConfig
 from genmf_mi.core.errors import ConfigError
 from genmf_mi.core.frame import DIRECTIONS
 from genmf_mi.core.printer import PRINTERS
 from genmf_mi.report.pictures import PLASTIC, RELIEF_COLOURS
-from genmf_mi.ui.uploads import MAX_BYTES, SUFFIXES
+from genmf_mi.ui.uploads import MAX_BYTES
 
 SHOWN = ("printer", "size_mm", "max_relief_mm", "stand", "material", "nozzle_mm")
 """Settings that the page offers; a request may hold any other of :class:`RefineConfig` as well."""
@@ -36,8 +37,6 @@ LOOK = {
     "colours": RELIEF_COLOURS,
 }
 """How the page shades, as the bundled scenes do; reading them takes Mitsuba, so a test compares."""
-REGIONS = "regions" in {field.name for field in fields(RefineConfig)}
-"""Whether refinements know painted regions."""
 UPS = ("auto", "x", "-x", "y", "-y", "z", "-z")
 """Axes of a file that can point upwards, as the option ``--up`` has them."""
 
@@ -61,9 +60,8 @@ def options() -> dict[str, Any]:
             for name, printer in PRINTERS.items()
         },
         "look": LOOK,
-        "regions": REGIONS,
         "max_bytes": MAX_BYTES,
-        "suffixes": list(SUFFIXES),
+        "suffixes": list(FORMATS),
     }
 
 

@@ -8,10 +8,9 @@ import zipfile
 from collections.abc import AsyncIterator
 from pathlib import Path, PurePosixPath
 
+from genmf_mi.assets.asset import FORMATS
 from genmf_mi.core.errors import AssetError, OutputError
 
-SUFFIXES = (".glb", ".gltf", ".obj", ".3mf", ".ply", ".stl")
-"""Of models, those that say most about colours first: of several in an archive the first kind is taken."""
 MAX_BYTES = 256 * 1024**2
 """Of an upload."""
 MAX_UNPACKED, MAX_MEMBERS, MAX_RATIO = 1024**3, 2000, 200
@@ -91,16 +90,20 @@ def unpack(archive: Path, folder: Path) -> None:
 
 
 def find_model(folder: Path) -> Path:
-    """The one model among the files of a folder. Raises :class:`AssetError` if there is none, or several of a kind."""
+    """The one model among the files of a folder, of the kind that says most about colours.
+
+    Raises:
+        AssetError: there is none, or there are several of that kind.
+    """
     files = sorted(path for path in folder.rglob("*") if path.is_file())
-    for suffix in SUFFIXES:
+    for suffix in FORMATS:
         found = [path for path in files if path.suffix.lower() == suffix]
         if len(found) == 1:
             return found[0]
         if found:
             names = ", ".join(path.name for path in found[:4])
             raise AssetError(f"there are several models: {names}. Choose one of them, with its textures.")
-    suffixes = ", ".join(suffix[1:].upper() for suffix in SUFFIXES)
+    suffixes = ", ".join(suffix[1:].upper() for suffix in FORMATS)
     raise AssetError(f"there is no model among the files. Give one of {suffixes}, or a zip with one and its textures.")
 
 

@@ -19,7 +19,7 @@ from stub_refine import PROGRAM
 from textured import checkered_ball
 from toys import painted
 
-from genmf_mi.ui import options, processes
+from genmf_mi.ui import processes
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,6 @@ def server(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(processes, "PROGRAM", PROGRAM)
         patch.setattr(processes, "NICE", 0)
-        patch.setattr(options, "REGIONS", True)
         served = Served(tmp_path_factory.mktemp("page") / "workspace")
         yield served.client
         served.stop()

@@ -255,7 +255,7 @@ function render() {
   about();
   $("about").hidden = false;
   $("settings").hidden = !ready || failed;
-  $("painting").hidden = !ready || failed || !state.options.regions;
+  $("painting").hidden = !ready || failed;
   $("progress").hidden = !["queued", "running"].includes(job.state);
   $("result").hidden = !done;
   if (!$("progress").hidden) progress.render(job, state.jobs);
