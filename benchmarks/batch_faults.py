@@ -48,6 +48,7 @@ def main(inputs: Inputs, *, items: int = 24, kills: int = 5, engines: str = "ray
     for engine in engines.split(","):
         out, mark = RUNS / engine, f"{os.getpid()}-{engine}"
         command = [sys.executable, "-m", "genmf_mi", "batch", str(manifest), "--out", str(out), f"--arguments={SMALL}"]
+        command += ["--crashes", str(kills + 1)]  # all of them may hit one item, which is not to blame
         start = time.monotonic()
         if engine == "ray":
             with Cluster(mark) as cluster:
@@ -69,7 +70,7 @@ def write_assets(folder: Path, count: int) -> Path:
     """Spheres with stripes, each other ones, and a manifest of them."""
     folder.mkdir(parents=True)
     for i in range(count):
-        ball = trimesh.creation.icosphere(3)
+        ball = trimesh.creation.icosphere(3, radius=1 + 0.01 * i)  # the same content would be the same item
         bright = np.sin((5 + 0.3 * i) * ball.vertices[:, 1]) > 0
         ball.visual.vertex_colors = np.where(bright[:, None], (220, 120, 120, 255), (60, 60, 60, 255)).astype(np.uint8)
         ball.export(folder / f"ball{i:02}.ply")
@@ -91,14 +92,14 @@ def drill(
 
     Args:
         out: where the batches write; nobody is killed before the first item has begun. commands: of the drivers.
-        mark: of their processes. victim: says of a command line whether it is a worker.
+        mark: of their processes. victim: says of a command line whether it is a worker; :func:`is_worker` if None.
         moments: seconds between two kills, at least and at most.
 
     Returns:
         how many workers and drivers were killed, and the exit codes of the last drivers.
     """
     chance, own = random.Random(seed), environment(mark)
-    victim = victim or (lambda line: "genmf_mi.batch.worker" in line or line.startswith("ray::"))
+    victim = victim or is_worker
     drivers = [subprocess.Popen(command, env=own, stdout=subprocess.DEVNULL) for command in commands]
     killed = {"workers_killed": 0, "drivers_killed": 0}
     while killed["workers_killed"] < kills and any(driver.poll() is None for driver in drivers):
@@ -117,6 +118,11 @@ def drill(
             os.kill(chance.choice(workers), signal.SIGKILL)
             killed["workers_killed"] += 1
     return {**killed, "exit_codes": [driver.wait() for driver in drivers]}
+
+
+def is_worker(line: str) -> bool:
+    """Whether a command line is of a worker of ours or of Ray; with an agent, Ray ends its whole node."""
+    return "genmf_mi.batch.worker" in line or (line.startswith("ray::") and not line.endswith("Agent"))
 
 
 def counted(out: Path, items: int) -> dict:
