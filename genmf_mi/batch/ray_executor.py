@@ -86,7 +86,7 @@ class RayExecutor:
         return max((node.get("Resources", {}).get(resource, 0.0) for node in nodes), default=0.0)
 
     def run(self, tasks: Iterator[Task]) -> Iterator[BatchOutcome | None]:
-        from ray.exceptions import RayError
+        from ray.exceptions import LocalRayletDiedError, RayError
 
         more, pending = True, self._pending
         while more or pending:
@@ -108,6 +108,11 @@ class RayExecutor:
                 try:
                     outcome: BatchOutcome = self._ray.get(reference)
                     yield replace(outcome, asset=task.asset_name, folder=task.folder)
+                except LocalRayletDiedError:
+                    raise SetupError(
+                        f"this node is no longer part of the Ray cluster at {self.address}. Start it again, and then the "
+                        "same command: what is finished is kept."
+                    ) from None
                 except RayError as error:  # its worker or node died more often than Ray tries
                     text = " ".join(str(error).split())[:300]
                     yield task.outcome("failed", cause="crash", error=f"{type(error).__name__}: {text}")

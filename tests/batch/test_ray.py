@@ -6,14 +6,16 @@ import importlib.util
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from benchmarks.batch_faults import Cluster, counted, drill, processes
-from genmf_mi.batch.ray_executor import absolute
-from genmf_mi.batch.task import Task
+from genmf_mi.batch.ray_executor import RayExecutor, absolute
+from genmf_mi.batch.task import Limits, Task
 from genmf_mi.batch.work import Work
 from genmf_mi.cli import main as cli
+from genmf_mi.core.errors import SetupError
 
 pytestmark = [
     pytest.mark.skipif(sys.platform != "linux", reason="processes are found in /proc"),
@@ -57,6 +59,22 @@ def test_no_cluster_is_said_before_the_work():
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2 and "no Ray cluster answers at 127.0.0.1:1" in done.stderr.splitlines()[-1]
     assert not Path("runs").exists()
+
+
+def test_a_lost_node_ends_the_batch_and_blames_no_item():
+    """Only the items that were handed out before are in the journal; the others wait for the next start."""
+    from ray.exceptions import LocalRayletDiedError
+
+    def lost(_):
+        raise LocalRayletDiedError
+
+    executor = object.__new__(RayExecutor)
+    executor.address, executor.threads, executor.limits, executor.command = "auto", 1, Limits(), None
+    executor._pending, executor._task = {}, SimpleNamespace(remote=lambda task, *_: task.name)
+    executor._ray = SimpleNamespace(wait=lambda all, **_: (all[:1], all[1:]), get=lost)
+    tasks = iter([Task(name, name, Work(), f"runs/{name}") for name in ("one", "two")])
+    with pytest.raises(SetupError, match="what is finished is kept"):
+        list(executor.run(tasks))
 
 
 def test_without_ray(monkeypatch, workplace, capsys):
