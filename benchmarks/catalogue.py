@@ -71,6 +71,8 @@ CATALOGUE = (
               "docs/batch.md, Throughput"),
     Benchmark("batch_faults", BATCH, "whether batches are complete however they are killed", 30,
               "docs/batch.md, Killed"),
+    Benchmark("batch_large", BATCH, "first start, second call and gallery of ten thousand items", 3,
+              "docs/batch.md, Table and gallery"),
     Benchmark("batch_simulation", BATCH, "100,000 assets on 1000 workers, simulated", 1,
               "docs/batch.md, A hundred thousand"),
     Benchmark("sdf_route", "sdf_route.json", "the same from the field instead of the mesh", 70,

@@ -110,8 +110,8 @@ class RayExecutor:
                     yield replace(outcome, asset=task.asset_name, folder=task.folder)
                 except LocalRayletDiedError:
                     raise SetupError(
-                        f"this node is no longer part of the Ray cluster at {self.address}. Start it again, and then the "
-                        "same command: what is finished is kept."
+                        f"this node is no longer part of the Ray cluster at {self.address}. Start it again, and then "
+                        "the same command: what is finished is kept."
                     ) from None
                 except RayError as error:  # its worker or node died more often than Ray tries
                     text = " ".join(str(error).split())[:300]
