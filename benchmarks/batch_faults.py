@@ -66,11 +66,11 @@ def main(inputs: Inputs, *, items: int = 24, kills: int = 5, engines: str = "ray
     )
 
 
-def write_assets(folder: Path, count: int) -> Path:
+def write_assets(folder: Path, count: int, subdivisions: int = 3) -> Path:
     """Spheres with stripes, each other ones, and a manifest of them."""
     folder.mkdir(parents=True)
     for i in range(count):
-        ball = trimesh.creation.icosphere(3, radius=1 + 0.01 * i)  # the same content would be the same item
+        ball = trimesh.creation.icosphere(subdivisions, radius=1 + 0.01 * i)  # the same content would be the same item
         bright = np.sin((5 + 0.3 * i) * ball.vertices[:, 1]) > 0
         ball.visual.vertex_colors = np.where(bright[:, None], (220, 120, 120, 255), (60, 60, 60, 255)).astype(np.uint8)
         ball.export(folder / f"ball{i:02}.ply")
@@ -79,27 +79,31 @@ def write_assets(folder: Path, count: int) -> Path:
     return manifest
 
 
+def is_worker(line: str) -> bool:
+    """Whether a command line is of a worker of ours or of Ray; with an agent, Ray ends its whole node."""
+    return "genmf_mi.batch.worker" in line or (line.startswith("ray::") and not line.endswith("Agent"))
+
+
 def drill(
     out: Path,
     commands: Sequence[Sequence[str]],
     kills: int,
     mark: str,
     seed: int = 0,
-    victim: Callable[[str], bool] | None = None,
+    victim: Callable[[str], bool] = is_worker,
     moments: tuple[float, float] = (2.0, 12.0),
 ) -> dict:
     """Run batches, kill ``kills`` of their workers and, halfway, a driver, which is started again.
 
     Args:
         out: where the batches write; nobody is killed before the first item has begun. commands: of the drivers.
-        mark: of their processes. victim: says of a command line whether it is a worker; :func:`is_worker` if None.
+        mark: of their processes. victim: says of a command line whether it is a worker.
         moments: seconds between two kills, at least and at most.
 
     Returns:
         how many workers and drivers were killed, and the exit codes of the last drivers.
     """
     chance, own = random.Random(seed), environment(mark)
-    victim = victim or is_worker
     drivers = [subprocess.Popen(command, env=own, stdout=subprocess.DEVNULL) for command in commands]
     killed = {"workers_killed": 0, "drivers_killed": 0}
     while killed["workers_killed"] < kills and any(driver.poll() is None for driver in drivers):
@@ -118,11 +122,6 @@ def drill(
             os.kill(chance.choice(workers), signal.SIGKILL)
             killed["workers_killed"] += 1
     return {**killed, "exit_codes": [driver.wait() for driver in drivers]}
-
-
-def is_worker(line: str) -> bool:
-    """Whether a command line is of a worker of ours or of Ray; with an agent, Ray ends its whole node."""
-    return "genmf_mi.batch.worker" in line or (line.startswith("ray::") and not line.endswith("Agent"))
 
 
 def counted(out: Path, items: int) -> dict:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import shutil
 import signal
 import subprocess
@@ -17,10 +16,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import trimesh
 
 import genmf_mi
 from benchmarks import record
+from benchmarks.batch_faults import write_assets
 from benchmarks.inputs import Inputs
 from genmf_mi.batch.journal import BatchOutcome
 from genmf_mi.batch.manifest import read_manifest
@@ -38,32 +37,20 @@ def main(inputs: Inputs, *, items: int = 10_000) -> None:
         items: Lines of the manifest.
     """
     shutil.rmtree(RUNS, ignore_errors=True)
-    manifest, out = write_assets(RUNS / "assets", items), RUNS / "out"
+    manifest, out = write_assets(RUNS / "assets", items, subdivisions=1), RUNS / "out"
     command = [sys.executable, "-m", "genmf_mi", "batch", str(manifest), "--out", str(out)]
     found: dict = {"items": items, "first_item_after_s": first_start(command, out)}
     shutil.rmtree(out)
     count = sum(one.good for one in genmf_mi.run_batch(read_manifest(str(manifest)), out=out, executor=Instantly()))
     assert count == items, count
     for name, words in (("resume", command), ("merge", [sys.executable, "-m", "genmf_mi", "merge", str(out)])):
-        start, cpu = time.monotonic(), cpu_seconds_of_children()
+        start, cpu = time.monotonic(), record.cpu_seconds_of_children()
         subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
         found[f"{name}_s"] = round(time.monotonic() - start, 1)
-        found[f"{name}_cpu_s"] = round(cpu_seconds_of_children() - cpu, 1)
+        found[f"{name}_cpu_s"] = round(record.cpu_seconds_of_children() - cpu, 1)
     found["gallery_mb"] = round((out / "gallery.html").stat().st_size / 1e6, 1)
     print(found)
     record.write_entry("batch", "large", {"machine": record.machine(), **found})
-
-
-def write_assets(folder: Path, count: int) -> Path:
-    """So many painted tetrahedra, and a manifest of them."""
-    folder.mkdir(parents=True)
-    body = trimesh.creation.icosphere(1)
-    for i in range(count):
-        body.visual.vertex_colors = np.random.default_rng(i).integers(0, 255, (len(body.vertices), 4), dtype=np.uint8)
-        body.export(folder / f"{i:05}.ply")
-    manifest = folder / "list.csv"
-    manifest.write_text("asset\n" + "".join(f"{i:05}.ply\n" for i in range(count)), encoding="utf-8")
-    return manifest
 
 
 def first_start(command: list[str], out: Path) -> float:
@@ -99,9 +86,3 @@ class Instantly:
 
     def close(self) -> None:
         pass
-
-
-def cpu_seconds_of_children() -> float:
-    """Of all processes that were started and have ended."""
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 import sys
@@ -61,13 +60,12 @@ def _by_workers(chosen: list[tuple[Path, float]], workers: int) -> dict:
 
 def _by_processes(chosen: list[tuple[Path, float]]) -> dict:
     """Figures of `genmf-mi refine`, one after the other."""
-    before = os.times()
+    before = record.cpu_seconds_of_children()
     for path, size in chosen:
         command = [
             sys.executable, "-m", "genmf_mi", "refine", path, "--out", RUNS / "processes" / f"{path.stem}-{size:g}",
             "--quiet", "--preset", "draft", "--size-mm", size,
         ]  # fmt: skip
         subprocess.run([str(word) for word in command], check=True, stdout=subprocess.DEVNULL)
-    after = os.times()
-    cpu = after.children_user + after.children_system - before.children_user - before.children_system
+    cpu = record.cpu_seconds_of_children() - before
     return {"cpu_seconds_per_part": round(cpu / len(chosen), 1)}

@@ -71,6 +71,12 @@ def machine() -> dict:
     }
 
 
+def cpu_seconds_of_children() -> float:
+    """Of all processes that were started and have ended."""
+    times = os.times()
+    return times.children_user + times.children_system
+
+
 def cpu_seconds(work: Callable[[], object], repeats: int = 1, warm_up: bool = False) -> float:
     """CPU seconds of the fastest of ``repeats`` calls of ``work``; with ``warm_up``, after one call that does not
     count."""

@@ -14,6 +14,7 @@ import numpy as np
 from genmf_mi.assets.albedo import Albedo, Material
 from genmf_mi.assets.maps import NO_MAPS, Maps, PlacedMaps
 from genmf_mi.assets.reading import current
+from genmf_mi.core import colour
 from genmf_mi.core.errors import AssetError
 
 if TYPE_CHECKING:
@@ -112,6 +113,17 @@ def decode_alpha(data: bytes) -> np.ndarray | None:
         band = image if image.mode in ("RGBA", "LA") else image.convert("RGBA")
         alpha = np.asarray(band.getchannel("A"))
     return None if alpha.min() == 255 else alpha
+
+
+def decode_colours(rgb: np.ndarray, where: object) -> np.ndarray:
+    """Linear RGB of sRGB-encoded numbers of a text or of floats, of 0..1 or 0..255; any shape.
+
+    Raises:
+        AssetError: some are NaN or infinite: the scale of all others would be lost.
+    """
+    if not np.isfinite(rgb).all():
+        raise AssetError(f"{where} has colours that are not numbers. Export it again.")
+    return colour.numbers_to_linear(rgb)
 
 
 def decode_image(data: bytes, name: str) -> np.ndarray:

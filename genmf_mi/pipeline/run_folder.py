@@ -83,7 +83,8 @@ class RunFolder:
 
         folder = cls(Path(path))
         folder.settle()
-        if folder.is_ours:
+        ours = folder.is_ours
+        if ours:
             (folder.path / STOP).unlink(missing_ok=True)
         grown = cls(folder.path / REPLACEMENT, folder.path)
         if not grown.interrupted:
@@ -101,7 +102,7 @@ class RunFolder:
         # Settings alone are of a run that failed before it had anything to lose
         claim_folder(
             path, "run", finished=(METRICS,), interrupted=(CHECKPOINT,), force=force, resume=resume,
-            foreign=() if folder.is_ours else (*FILES, STOP),
+            foreign=() if ours else (*FILES, STOP),
         )  # fmt: skip
         sweep(path, FILES)
         if resume:

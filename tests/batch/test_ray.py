@@ -62,7 +62,7 @@ def test_no_cluster_is_said_before_the_work():
 
 
 def test_a_lost_node_ends_the_batch_and_blames_no_item():
-    """Only the items that were handed out before are in the journal; the others wait for the next start."""
+    """No outcome is made of the items that were under way."""
     from ray.exceptions import LocalRayletDiedError
 
     def lost(_):

@@ -13,8 +13,7 @@ import numpy as np
 
 from genmf_mi.assets.albedo import Material
 from genmf_mi.assets.formats import mtl, polygons
-from genmf_mi.assets.part import Names, Part
-from genmf_mi.core import colour
+from genmf_mi.assets.part import Names, Part, decode_colours
 from genmf_mi.core.errors import AssetError
 
 Corner = tuple[int, int]
@@ -104,10 +103,7 @@ def _statements(
     vertices = np.array([row[:3] for row in positions], dtype=np.float64).reshape(-1, 3)
     colours = None
     if positions and all(len(row) in (6, 7) for row in positions):
-        rgb = np.array([row[3:6] for row in positions])
-        if not np.isfinite(rgb).all():
-            raise AssetError(f"{path} has colours that are not numbers. Export it again.")
-        colours = colour.numbers_to_linear(rgb)
+        colours = decode_colours(np.array([row[3:6] for row in positions]), path)
     return vertices, colours, np.array(coordinates, dtype=np.float64).reshape(-1, 2), rings, libraries, names
 
 

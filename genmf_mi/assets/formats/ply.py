@@ -11,7 +11,7 @@ from trimesh.visual import ColorVisuals, TextureVisuals
 
 from genmf_mi.assets.albedo import Material, Texture
 from genmf_mi.assets.formats import beside
-from genmf_mi.assets.part import Part, decode_image
+from genmf_mi.assets.part import Part, decode_colours, decode_image
 from genmf_mi.core import colour
 from genmf_mi.core.errors import AssetError
 
@@ -78,10 +78,7 @@ def _vertex_colours(path: Path, mesh: trimesh.Trimesh) -> np.ndarray | None:
         return None
     if rgb.dtype.kind in "iu":
         return colour.to_linear(rgb / float(np.iinfo(rgb.dtype).max)).astype(np.float32)
-    rgb = rgb.astype(np.float64)
-    if not np.isfinite(rgb).all():
-        raise AssetError(f"{path} has colours that are not numbers. Export it again.")
-    return colour.numbers_to_linear(rgb).astype(np.float32)
+    return decode_colours(rgb.astype(np.float64), path).astype(np.float32)
 
 
 def _textures(path: Path) -> list[str]:

@@ -18,9 +18,8 @@ from genmf_mi.stress.report.comparison import ratios
 
 
 @pytest.fixture(autouse=True)
-def _coarse(monkeypatch):
+def _coarse(coarse_warpage, monkeypatch):
     monkeypatch.setattr(verification, "EDGE_MM", 8.0)
-    monkeypatch.setattr(warpage, "FINEST", 0.2)
 
 
 class Stages(Progress):
