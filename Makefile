@@ -20,7 +20,7 @@ make fuzz                       5000 damaged inputs of every kind that is read; 
 make samples                    write the bundled samples as GLB files
 make docs                       the site of the documentation, in site/; every warning is an error
 make wheel                      wheel and source archive, in dist/
-make release-check              build, install elsewhere, refine there, documentation, licences, SBOM; in dist/
+make release-check              build, install elsewhere, refine there, all documented commands, licences, SBOM; in dist/
 make doctor                     what is there, what is missing, how to fix it
 make clean                      remove .venv and caches; your runs stay
 

@@ -1,7 +1,7 @@
 """What must hold before a release: `make release-check`.
 
-Builds wheel and source archive, installs the wheel into an empty environment elsewhere, refines a sample there, builds
-the documentation, and writes beside the archives
+Builds wheel and source archive, installs the wheel into an empty environment elsewhere, refines a sample there,
+executes every command of the documentation at small settings, builds the site, and writes beside the archives
 
     LICENCES.md   the licence of every package that the environment has, as its metadata states it
     sbom.json     the same as a software bill of materials, CycloneDX 1.6
@@ -139,6 +139,9 @@ def main() -> None:
         bom = DIST / "sbom.json"
         run(sys.executable, "-m", "cyclonedx_py", "environment", "--spec-version", "1.6", "--output-file", bom, python)
         print(f"{len(rows)} packages, {len(json.loads(bom.read_text())['components'])} components in the SBOM")
+    step("commands of the documentation")
+    every = {**os.environ, "GENMF_TEST_COMMANDS": "1"}
+    run(sys.executable, "-m", "pytest", "-q", ROOT / "tests" / "docs" / "test_commands_run.py", cwd=ROOT, env=every)
     step("documentation")
     run(sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--config-file", ROOT / "mkdocs.yml")
     print(f"ready: {', '.join(sorted(path.name for path in DIST.iterdir()))}, site/")

@@ -219,13 +219,20 @@ def _require(
 
 
 def _require_detail(problem: RefinementProblem) -> None:
-    """Raise :class:`AssetError` for a texture of one brightness, of which no relief would come."""
-    signals = problem.surface.signals[problem.relief]
-    if not problem.training.reference.pictures and np.ptp(signals, axis=0).max() < ONE_BRIGHTNESS:
+    """Raise :class:`AssetError` for a texture of one brightness where relief is allowed: none would come of it."""
+    signals = problem.surface.signals
+    if problem.training.reference.pictures or np.ptp(signals[problem.relief], axis=0).max() >= ONE_BRIGHTNESS:
+        return
+    name = problem.asset.name
+    if np.ptp(signals, axis=0).max() >= ONE_BRIGHTNESS:
         raise AssetError(
-            f"the texture of {problem.asset.name} has one brightness all over, so there is nothing for the relief to "
-            "show. Give pictures of it with --reference image.png@azimuth,elevation."
+            f"{name} has one brightness wherever relief is allowed, so there is nothing to show there. Keep less of it "
+            "flat: see --regions, --mask, --flat-material and --flat-faces."
         )
+    raise AssetError(
+        f"the texture of {name} has one brightness all over, so there is nothing for the relief to show. Give pictures "
+        "of it with --reference image.png@azimuth,elevation."
+    )
 
 
 def refined(

@@ -17,7 +17,7 @@ from toys import sphere, stripes
 import genmf_mi
 from genmf_mi.assets.asset import Asset
 from genmf_mi.assets.generators.from_mesh import sdf_from_mesh
-from genmf_mi.core.errors import ConfigError
+from genmf_mi.core.errors import AssetError, ConfigError
 from genmf_mi.core.frame import Frame
 from genmf_mi.core.regions import Regions, Stroke
 from genmf_mi.pipeline import regions
@@ -82,6 +82,16 @@ class TestField:
         a, b = self.faces[:, 0], self.faces[:, 1]
         length = 50 * np.linalg.norm(self.vertices[a] - self.vertices[b], axis=1)
         assert (np.abs(field.mask[a] - field.mask[b]) / length).max() <= 1 / 4 + 1e-9
+
+    def test_all_that_is_free_is_of_one_brightness(self, two_views):
+        """The texture is not, and so it is not the texture that is spoken of."""
+        vertices, faces, _ = sphere(5)
+        texture = np.full((64, 64, 3), 128, np.uint8)
+        texture[:, 40::4] = 255
+        toy = Asset.from_arrays("half", vertices, faces, uv=vertices[:, :2] / 2 + 0.5, texture=texture)
+        striped = Regions((dab(radius=60.0),))
+        with pytest.raises(AssetError, match=r"wherever relief is allowed.*--flat-material"):
+            genmf_mi.refine(toy, replace(CONFIG, regions=striped), scene=two_views)
 
     def test_stronger_and_matters(self):
         field = self.on(dab("stronger", 20, 3.0), dab("matters", 20, 2.0, x=-1.0))
@@ -154,6 +164,16 @@ class TestRun:
         ):
             with pytest.raises(ConfigError, match=message):
                 genmf_mi.refine(toy, replace(CONFIG, **changes), scene=two_views)
+
+    def test_all_that_is_free_is_of_one_brightness(self, two_views):
+        """The texture is not, and so it is not the texture that is spoken of."""
+        vertices, faces, _ = sphere(5)
+        texture = np.full((64, 64, 3), 128, np.uint8)
+        texture[:, 40::4] = 255
+        toy = Asset.from_arrays("half", vertices, faces, uv=vertices[:, :2] / 2 + 0.5, texture=texture)
+        striped = Regions((dab(radius=60.0),))
+        with pytest.raises(AssetError, match=r"wherever relief is allowed.*--flat-material"):
+            genmf_mi.refine(toy, replace(CONFIG, regions=striped), scene=two_views)
 
     def test_stronger_and_matters(self, toy, two_views, twin, tmp_path):
         strokes = Regions((dab("stronger", 45.0, 2.0), dab("matters", 30.0, 3.0, x=-1.0)))
