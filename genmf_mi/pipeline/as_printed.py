@@ -30,6 +30,7 @@ from genmf_mi.printing.printed import Printed, print_part
 from genmf_mi.render import bridge, lamps
 from genmf_mi.render import scene as scenes
 from genmf_mi.render.scene import RenderSettings
+from genmf_mi.render.view import View
 
 FINE, SAMPLES = 4, 9
 """Pixels across one of the pictures that are compared, and rays for each of them, under the two lights."""
@@ -107,24 +108,42 @@ class PrintGate:
         finally:
             ply.unlink(missing_ok=True)
 
-    @torch.no_grad()
     def _pictures(self, ply: Path, paint: Tensor | None) -> dict[str, Pictures]:
+        """One light after the other: each has a tree of millions of triangles of its own."""
+        pictures, views, lighting = self._in_even_light(ply, paint)
+        return {**pictures, **self._under_lamps(ply, paint, views, lighting, pictures[TWO_LIGHTS].coverage)}
+
+    @torch.no_grad()
+    def _in_even_light(
+        self, ply: Path, paint: Tensor | None
+    ) -> tuple[dict[str, Pictures], tuple[View, ...], lamps.Lighting]:
         scene = scenes.load(self._xml, ply, **asdict(self._settings))
-        studio = lamps.Studio(scene, ply, FINE_LAMPS * RESOLUTION, SAMPLES_LAMPS)
         grey: dict[str, list[Tensor]] = {}
         coverages: list[Tensor] = []
         for i, view in enumerate(scene.views):
             fine = bridge.render(scene, [view], seed=SEED)
-            lit = studio.render(view, seed=SEED)
             coverages.append(far(fine.geometry[2], FINE))
             grey.setdefault(TWO_LIGHTS, []).append(far(fine.grey, FINE))
+            if paint is not None:
+                grey.setdefault(TWO_LIGHTS + PAINTED, []).append(far(fine.grey * paint[i : i + 1], FINE))
+            self._progress.advance(i + 1, 2 * len(scene.views))
+        coverage = torch.cat(coverages)
+        pictures = {name: Pictures(torch.cat(images), coverage) for name, images in grey.items()}
+        return pictures, scene.views, lamps.Lighting.of(scene)
+
+    @torch.no_grad()
+    def _under_lamps(
+        self, ply: Path, paint: Tensor | None, views: tuple[View, ...], lighting: lamps.Lighting, coverage: Tensor
+    ) -> dict[str, Pictures]:
+        studio = lamps.Studio(lighting, ply, FINE_LAMPS * RESOLUTION, SAMPLES_LAMPS)
+        grey: dict[str, list[Tensor]] = {}
+        for i, view in enumerate(views):
+            lit = studio.render(view, seed=SEED)
             grey.setdefault(LAMPS, []).append(far(lit, FINE_LAMPS))
             if paint is not None:
                 coarse = F.avg_pool2d(paint[i : i + 1], FINE // FINE_LAMPS)
-                grey.setdefault(TWO_LIGHTS + PAINTED, []).append(far(fine.grey * paint[i : i + 1], FINE))
                 grey.setdefault(LAMPS + PAINTED, []).append(far(lit * coarse, FINE_LAMPS))
-            self._progress.advance(i + 1, len(scene.views))
-        coverage = torch.cat(coverages)
+            self._progress.advance(len(views) + i + 1, 2 * len(views))
         return {name: Pictures(torch.cat(images), coverage) for name, images in grey.items()}
 
 

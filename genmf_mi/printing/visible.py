@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import manifold3d
 import numpy as np
 from PIL import Image, ImageDraw
@@ -9,13 +11,13 @@ from PIL import Image, ImageDraw
 from genmf_mi.printing.paths import Bead
 from genmf_mi.printing.slices import Slices
 
-COVER_MM = 1.0
-"""What lies farther than this from the outline of its layer and of the two next to it is hidden."""
-_PIXEL_MM, _SAMPLE_MM = 0.2, 0.5
+COVER = 1.1
+"""Line widths from the outline of a layer and of the two next to it, within which all is hidden by the outer beads."""
+_PIXEL_MM, _SAMPLE_MM = 0.1, 0.5
 
 
 def visible(beads: list[Bead], slices: Slices) -> list[Bead]:
-    """The outer beads, and those others that come near the surface anywhere; supports are left out.
+    """The outer beads, and the pieces of others that come near the surface; supports are left out.
 
     slices: of the same part in the same place, at the same layer height.
     """
@@ -24,28 +26,42 @@ def visible(beads: list[Bead], slices: Slices) -> list[Bead]:
     low = np.min([bead.points.min(axis=0) for bead in beads], axis=0) - 1
     high = np.max([bead.points.max(axis=0) for bead in beads], axis=0) + 1
     size = tuple(int(n) for n in np.ceil((high - low) / _PIXEL_MM))
+    cover_mm = COVER * float(np.median(np.concatenate([bead.width for bead in beads])))
     hidden: dict[int, np.ndarray] = {}
     seen: list[Bead] = []
     for bead in beads:
-        if bead.role == "support":
-            continue
-        if bead.role != "outer":
+        if bead.role == "outer":
+            seen.append(bead)
+        elif bead.role != "support":
             layer = round(bead.top / slices.layer_mm) - 1
             if layer not in hidden:
-                hidden[layer] = _raster(_covered(slices, layer), low, size)
-            column, row = ((_sampled(bead.points) - low) / _PIXEL_MM).astype(int).T
-            if hidden[layer][row, column].all():
-                continue
-        seen.append(bead)
+                hidden[layer] = _raster(_covered(slices, layer, cover_mm), low, size)
+            points, step = _sampled(_steps(bead.points, bead.closed))
+            column, row = ((points - low) / _PIXEL_MM).astype(int).T
+            seen += _pieces(bead, np.unique(step[~hidden[layer][row, column]]))
     return seen
 
 
-def _covered(slices: Slices, layer: int) -> manifold3d.CrossSection:
+def _covered(slices: Slices, layer: int, cover_mm: float) -> manifold3d.CrossSection:
     """What lies well within the outlines of a layer and of the two next to it."""
     if not 0 < layer < len(slices.outlines) - 1:
         return manifold3d.CrossSection()
     below, here, above = slices.outlines[layer - 1 : layer + 2]
-    return (below ^ here ^ above).offset(-COVER_MM, manifold3d.JoinType.Square)
+    return (below ^ here ^ above).offset(-cover_mm, manifold3d.JoinType.Square)
+
+
+def _pieces(bead: Bead, shown: np.ndarray) -> list[Bead]:
+    """What is left of a bead if only some of the steps from point to point are shown, which are given by number."""
+    count = len(bead.points) - 1 + bead.closed
+    if len(shown) == count:
+        return [bead]
+    numbers = np.arange(count + 1)
+    if bead.closed:  # from a step that is hidden, so that no piece runs across the end
+        first = np.setdiff1d(np.arange(count), shown)[0]
+        shown, numbers = np.sort((shown - first) % count), (numbers + first) % count
+    runs = np.split(shown, np.flatnonzero(np.diff(shown) > 1) + 1) if len(shown) else []
+    corners = [numbers[run[0] : run[-1] + 2] for run in runs]
+    return [replace(bead, points=bead.points[i], width=bead.width[i], closed=False) for i in corners]
 
 
 def _raster(outline: manifold3d.CrossSection, low: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
@@ -61,10 +77,15 @@ def _raster(outline: manifold3d.CrossSection, low: np.ndarray, size: tuple[int, 
     return np.array(image)
 
 
-def _sampled(points: np.ndarray) -> np.ndarray:
-    """Points ``[N,2]`` on a polyline, no farther than :data:`_SAMPLE_MM` apart."""
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    counts = np.maximum(1, np.ceil(steps / _SAMPLE_MM).astype(int))
-    start = np.repeat(np.arange(len(steps)), counts)
-    share = (np.arange(len(start)) - np.repeat(np.cumsum(counts) - counts, counts)) / counts[start]
-    return np.concatenate([points[start] + share[:, None] * (points[start + 1] - points[start]), points[-1:]])
+def _steps(points: np.ndarray, closed: bool) -> np.ndarray:
+    """``[S,2,2]`` from point to point, and back to the first where the path is closed."""
+    return np.stack([points, np.roll(points, -1, axis=0)], axis=1)[: None if closed else -1]
+
+
+def _sampled(steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points ``[N,2]`` on steps ``[S,2,2]``, ends and no farther than :data:`_SAMPLE_MM` apart, and whose they are."""
+    start, way = steps[:, 0], steps[:, 1] - steps[:, 0]
+    counts = 1 + np.maximum(1, np.ceil(np.linalg.norm(way, axis=1) / _SAMPLE_MM).astype(int))
+    of = np.repeat(np.arange(len(steps)), counts)
+    share = (np.arange(len(of)) - np.repeat(np.cumsum(counts) - counts, counts)) / (counts[of] - 1)
+    return start[of] + share[:, None] * way[of], of

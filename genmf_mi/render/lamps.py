@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -29,29 +30,47 @@ _HEIGHT = 64
 """Rows of the picture of the sky."""
 
 
+@dataclass(frozen=True)
+class Lighting:
+    """What a studio takes over from a scene, which itself need not be kept.
+
+    distance, fov: of the camera, normalised units and degrees. albedo: of the part.
+    sky: radiance by direction, in the frame of the lights, which travel with the camera.
+    """
+
+    distance: float
+    fov: float
+    albedo: float
+    sky: Float32[ndarray, "H W 3"]
+
+    @classmethod
+    def of(cls, scene: Scene) -> Lighting:
+        """Lamps in the directions of the key and the fill light of ``scene``."""
+        return cls(scene.distance, scene.fov, scene.material["albedo"], _sky(scene))
+
+
 class Studio:
-    """The mesh in ``ply`` under lamps in the directions of the key and the fill light of ``scene``.
+    """The mesh in ``ply`` under lamps.
 
     Args:
-        scene: gives the camera, the albedo and the lights, which travel with the camera.
         resolution, samples: pixels per side, and rays per pixel.
     """
 
-    def __init__(self, scene: Scene, ply: str | Path, resolution: int, samples: int) -> None:
-        self._distance, self._samples = scene.distance, samples
+    def __init__(self, lighting: Lighting, ply: str | Path, resolution: int, samples: int) -> None:
+        self._distance, self._samples = lighting.distance, samples
         self._scene: MitsubaScene = mi.load_dict({
             "type": "scene",
             "integrator": {"type": "path", "max_depth": BOUNCES, "hide_emitters": True},
-            "sky": {"type": "envmap", "bitmap": mi.Bitmap(_sky(scene))},
+            "sky": {"type": "envmap", "bitmap": mi.Bitmap(lighting.sky)},
             "sensor": {
-                "type": "perspective", "fov": scene.fov,
+                "type": "perspective", "fov": lighting.fov,
                 "film": {"type": "hdrfilm", "width": resolution, "height": resolution, "pixel_format": "luminance",
                          "rfilter": {"type": "box"}},
                 "sampler": {"type": SAMPLER, "sample_count": samples},
             },
             "part": {
                 "type": "ply", "filename": str(ply),
-                "bsdf": {"type": "diffuse", "reflectance": {"type": "uniform", "value": scene.material["albedo"]}},
+                "bsdf": {"type": "diffuse", "reflectance": {"type": "uniform", "value": lighting.albedo}},
             },
         })  # fmt: skip
         self._params: MitsubaObject = mi.traverse(self._scene)

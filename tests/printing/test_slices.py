@@ -10,7 +10,7 @@ from genmf_mi.core.errors import SolidError
 from genmf_mi.core.printer import PRINTERS
 from genmf_mi.printing.paths import Bead
 from genmf_mi.printing.slices import Slices
-from genmf_mi.printing.visible import COVER_MM, visible
+from genmf_mi.printing.visible import COVER, visible
 
 PRINTER = PRINTERS["fdm-0.2"]
 
@@ -53,15 +53,35 @@ class TestSlices:
 
 
 class TestVisible:
+    slices = Slices.of(*on_bed(trimesh.creation.box((20, 20, 4))), 0.2)
+
+    @staticmethod
+    def bead(points, layer: int, role="fill", closed=False) -> Bead:
+        points = np.array(points, dtype=float)
+        return Bead(points, np.full(len(points), 0.45), (layer + 1) * 0.2, 0.2, role, closed)
+
     def test_only_what_is_near_the_surface(self):
-        slices = Slices.of(*on_bed(trimesh.creation.box((20, 20, 4))), 0.2)
-
         def line(y: float, layer: int, role="fill") -> Bead:
-            points = np.array([[-6.0, y], [6.0, y]])
-            return Bead(points, np.full(2, 0.45), (layer + 1) * 0.2, 0.2, role, False)
+            return self.bead([[-6, y], [6, y]], layer, role)
 
-        inside, near_side = line(0, 10), line(10 - COVER_MM / 2, 10)
+        inside, near_side = line(0, 10), line(10 - COVER * 0.45 / 2, 10)
         top, bottom, outline, support = line(0, 19), line(0, 0), line(0, 10, "outer"), line(0, 0, "support")
-        shown = visible([inside, near_side, top, bottom, outline, support], slices)
+        shown = visible([inside, near_side, top, bottom, outline, support], self.slices)
         assert shown == [near_side, top, bottom, outline]
-        assert visible([], slices) == []
+        assert visible([], self.slices) == []
+
+    @pytest.mark.parametrize("start", range(6))
+    def test_pieces_of_a_loop(self, start):
+        """Two of its corners come near the side: what leads there is kept, wherever the loop begins."""
+        loop = np.roll([[0, 0], [5, 0], [9.8, 0], [9.8, 5], [5, 5], [0, 5]], start, axis=0)
+        (shown,) = visible([self.bead(loop, 10, "inner", closed=True)], self.slices)
+        assert shown.points.tolist() == [[5, 0], [9.8, 0], [9.8, 5], [5, 5]] and not shown.closed
+        (whole,) = visible([self.bead(loop, 19, "inner", closed=True)], self.slices)
+        assert whole.closed and whole.points.tolist() == loop.tolist()
+
+    def test_pieces_of_a_line(self):
+        """What leads inwards from either side, and nothing between."""
+        line = self.bead([[-9.8, 0], [-4, 0], [0, 0], [4, 0], [9.8, 0]], 10)
+        left, right = visible([line], self.slices)
+        assert left.points.tolist() == [[-9.8, 0], [-4, 0]] and right.points.tolist() == [[4, 0], [9.8, 0]]
+        assert len(left.width) == len(right.width) == 2
