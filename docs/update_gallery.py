@@ -1,7 +1,9 @@
 """Writes docs/gallery.md, and its pictures from a folder of runs of the bundled samples.
 
-    for name in doll vase beanie ...; do genmf-mi refine $name --printer fdm-0.2; done
-    genmf-mi print-check runs/vase --textured vase     # adds the picture as printed; takes minutes
+    for name in doll vase beanie ...; do
+        genmf-mi refine $name
+        genmf-mi print-check runs/$name --textured $name --json > runs/$name/as_printed.json
+    done
     python docs/update_gallery.py runs
 
 Samples without a finished run keep what the page has of them. Pictures are JPEG of at most 1000 pixels width.
@@ -23,15 +25,20 @@ from genmf_mi.assets.samples import NAMES
 PAGE = Path(__file__).with_name("gallery.md")
 PICTURES = Path(__file__).with_name("gallery")
 WIDTH = 1000
+LIGHTS = {"two_lights": "printed, even light", "lamps": "printed, under lamps"}
+"""As print-check looks at a part, and what the page calls it."""
 HEAD = """# Gallery
 
 Ten samples of our own are in the package, and each can be refined by its name. `genmf-mi samples` writes them as GLB.
 
 ![The ten samples](gallery/samples.jpg)
 
-Where a run is shown, the textured object is on the left, what prints in one colour today in the middle, the refined
-part on the right; all 100 mm, the cap of the relief 1 mm. Numbers are from its `metrics.json`; LPIPS is better when
-lower, SSIM when higher. `docs/update_gallery.py` makes the page.
+All are 100 mm, with the settings that a command without any has: relief of at most 1 mm, for a printer that leaves no layers to be
+seen. The first picture of each is of the smooth surface, from two sides: the textured object, what prints in one colour today, the
+refined part. The second is of the same part bead by bead in filament of 0.2 mm, as PrusaSlicer lays it (`genmf-mi print-check`), in
+even light and under two lamps with shadows; what fine layers or resin keep is partly lost there, and `--printer fdm-0.2` makes the relief
+for it ([printing](printing.md)). LPIPS is better when lower, SSIM when higher; *displacement* is the best of six that follow the
+brightness. `docs/update_gallery.py` makes the page.
 """
 
 
@@ -52,29 +59,37 @@ def described(name: str) -> str:
 
 def introduced(name: str) -> list[str]:
     """Heading, description and command of a sample."""
-    command = f"genmf-mi refine {name} --printer fdm-0.2"
-    return [f"## {name}", "", described(name), "", "```sh", command, "```", ""]
+    return [f"## {name}", "", described(name), "", "```sh", f"genmf-mi refine {name}", "```", ""]
 
 
 def section(name: str, run: Path) -> str:
-    """What is known of a sample: the picture and the numbers of its run, if that is finished."""
+    """What is known of a sample: the pictures and the numbers of its run, if that is finished."""
     lines = introduced(name)
     if not (run / "metrics.json").is_file():
         return "\n".join(lines).rstrip() + "\n"
     metrics = json.loads((run / "metrics.json").read_text(encoding="utf-8"))
     jpeg(run / "before_after.png", PICTURES / f"{name}.jpg")
-    before, best, after = metrics["before"], metrics["displacement"], metrics["after"]
     lines += [f"![{name}: textured, as it prints today, refined](gallery/{name}.jpg)", ""]
-    rows = ["| | as it is | best displacement | refined |", "|---|---|---|---|"]
-    for key, label in (("lpips_alex", "LPIPS"), ("ssim", "SSIM"), ("g_ssim", "g-SSIM")):
-        rows.append(f"| {label} | {before[key]:.3f} | {best[key]:.3f} | **{after[key]:.3f}** |")
+    scored = {"smooth": metrics}
+    if (printed := run / "as_printed.json").is_file():
+        as_printed = json.loads(printed.read_text(encoding="utf-8"))
+        scored |= {label: as_printed[light] for light, label in LIGHTS.items()}
+        jpeg(run / "as_printed.png", PICTURES / f"{name}_printed.jpg")
+        lines += [f"![{name}, bead by bead, in filament of 0.2 mm](gallery/{name}_printed.jpg)", ""]
     relief = metrics["relief_mm"]
-    lines += [*rows, "", f"Relief: mean {relief['mean']:.2f} mm, at most {relief['max']:.2f} mm."]
-    printed = run / "as_printed.png"
-    if printed.is_file():
-        jpeg(printed, PICTURES / f"{name}_printed.jpg")
-        lines += ["", f"![{name}, bead by bead, in filament of 0.2 mm](gallery/{name}_printed.jpg)"]
-    return "\n".join(lines) + "\n"
+    said = f"Relief: mean {relief['mean']:.2f} mm, at most {relief['max']:.2f} mm. Made in {metrics['seconds']:.0f} s."
+    return "\n".join([*lines, *table(scored), "", said]) + "\n"
+
+
+def table(scored: dict[str, dict]) -> list[str]:
+    """LPIPS and SSIM of the shapes, by how they are looked at."""
+    rows = ["| | | as it is | displacement | refined |", "|---|---|---|---|---|"]
+    for label, scores in scored.items():
+        for key, metric in (("lpips_alex", "LPIPS"), ("ssim", "SSIM")):
+            before, best, after = (scores.get(shape, {}).get(key) for shape in ("before", "displacement", "after"))
+            middle = "" if best is None else f"{best:.3f}"
+            rows.append(f"| {label} | {metric} | {before:.3f} | {middle} | **{after:.3f}** |")
+    return rows
 
 
 def main(runs: Path) -> None:
