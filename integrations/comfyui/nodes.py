@@ -11,13 +11,13 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, get_args, get_type_hints
 
 import folder_paths  # of ComfyUI
 from comfy_api.latest import ComfyExtension, io, ui
 
 from genmf_mi.assets.asset import FORMATS as SUFFIXES
-from genmf_mi.core.config import PRESETS, RefineConfig, Stand
+from genmf_mi.core.config import PRESETS, RefineConfig
 from genmf_mi.core.printer import PRINTERS
 
 from .progress import ComfyProgress
@@ -87,7 +87,6 @@ class RefineRelief(io.ComfyNode):
     @classmethod
     def define_schema(cls) -> io.Schema:
         default = RefineConfig()
-        stands = list(get_args(Stand))
         return io.Schema(
             node_id="GenmfRefineRelief",
             display_name="Refine Relief (genmf)",
@@ -124,11 +123,11 @@ class RefineRelief(io.ComfyNode):
                     default=default.printer,
                     tooltip="smooth for resin and casts; fdm-* for filament in layers.",
                 ),
-                io.Combo.Input("stand", options=stands, default=default.stand, tooltip="Which way up it is printed."),
                 io.Combo.Input(
-                    "material", options=["pla", "petg", "abs", "resin"], default=default.material, advanced=True
+                    "stand", options=_choices("stand"), default=default.stand, tooltip="Which way up it is printed."
                 ),
-                io.Combo.Input("method", options=["relief", "displacement"], default=default.method, advanced=True),
+                io.Combo.Input("material", options=_choices("material"), default=default.material, advanced=True),
+                io.Combo.Input("method", options=_choices("method"), default=default.method, advanced=True),
                 io.Int.Input("iterations", default=0, min=0, max=5000, tooltip="0: as many as the preset has."),
                 io.Boolean.Input(
                     "stress", default=True, tooltip="Keep the thermal stress down. The draft preset never does."
@@ -143,7 +142,7 @@ class RefineRelief(io.ComfyNode):
                     tooltip="Contrast of texture that is left out as grain.",
                 ),
                 io.Int.Input("seed", default=default.seed, min=0, max=2**31 - 1),
-                io.Combo.Input("device", options=["auto", "cpu", "cuda"], default=default.device, advanced=True),
+                io.Combo.Input("device", options=_choices("device"), default=default.device, advanced=True),
             ],
             outputs=[Run.Output(display_name="run"), io.Image.Output(display_name="before_after")],
         )
@@ -253,6 +252,11 @@ class GenmfExtension(ComfyExtension):
 async def comfy_entrypoint() -> GenmfExtension:
     """Called by ComfyUI when it starts."""
     return GenmfExtension()
+
+
+def _choices(setting: str) -> list[str]:
+    """The words that a setting can be."""
+    return list(get_args(get_type_hints(RefineConfig)[setting]))
 
 
 def _inputs() -> list[str]:
