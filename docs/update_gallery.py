@@ -33,12 +33,13 @@ Ten samples of our own are in the package, and each can be refined by its name. 
 
 ![The ten samples](gallery/samples.jpg)
 
-All are 100 mm, with the settings that a command without any has: relief of at most 1 mm, for a printer that leaves no layers to be
-seen. The first picture of each is of the smooth surface, from two sides: the textured object, what prints in one colour today, the
-refined part. The second is of the same part bead by bead in filament of 0.2 mm, as PrusaSlicer lays it (`genmf-mi print-check`), in
-even light and under two lamps with shadows; what fine layers or resin keep is partly lost there, and `--printer fdm-0.2` makes the relief
-for it ([printing](printing.md)). LPIPS is better when lower, SSIM when higher; *displacement* is the best of six that follow the
-brightness. `docs/update_gallery.py` makes the page.
+All are 100 mm, with the settings that a command without any has: relief of at most 1 mm, for a printer that
+leaves no layers to be seen. The first picture of each is of the smooth surface, from two sides: the textured
+object, what prints in one colour today, the refined part. The second is of the same part bead by bead in
+filament of 0.2 mm, as PrusaSlicer lays it (`genmf-mi print-check`), in even light and under two lamps with
+shadows; what fine layers or resin keep is partly lost there, and `--printer fdm-0.2` makes the relief for it
+([printing](printing.md)). LPIPS is better when lower, SSIM when higher; *displacement* is the best of six that
+follow the brightness. `docs/update_gallery.py` makes the page.
 """
 
 
