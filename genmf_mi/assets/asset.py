@@ -15,12 +15,10 @@ from genmf_mi.assets.maps import Look, PlacedMaps
 from genmf_mi.assets.overlays import Overlay, outermost, split
 from genmf_mi.assets.part import Names, Part, groups, join, placed_maps
 from genmf_mi.assets.reading import reading
+from genmf_mi.assets.suffixes import MESHES
 from genmf_mi.core.errors import AssetError, ConfigError, GenmfError
 from genmf_mi.core.text import printable
 from genmf_mi.mesh.nearest import Nearest, barycentric
-
-FORMATS = (".glb", ".gltf", ".obj", ".3mf", ".ply", ".stl")
-"""Suffixes that :func:`load` reads, those that say most about colours first."""
 
 LARGEST_COORDINATE, FARTHEST = 1e15, 1e5
 """Of a vertex, in file units; and extent of an asset over that of all of it but a hundredth."""
@@ -233,8 +231,8 @@ def load(path: str | Path, up: str | None = None, *, files_anywhere: bool = Fals
     if not path.is_file():
         problem = "is a folder" if path.is_dir() else "does not exist"
         raise AssetError(f"{path} {problem}. Check the spelling, or give the full path of the file.")
-    if suffix not in FORMATS:
-        raise AssetError(f"{path} is of an unknown kind ({suffix or 'no suffix'}). Use one of {', '.join(FORMATS)}.")
+    if suffix not in MESHES:
+        raise AssetError(f"{path} is of an unknown kind ({suffix or 'no suffix'}). Use one of {', '.join(MESHES)}.")
     if path.stat().st_size == 0:
         raise AssetError(f"{path} is empty. Download or export it again.")
     try:

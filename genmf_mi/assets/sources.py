@@ -11,6 +11,7 @@ from genmf_mi.assets.asset import Asset
 from genmf_mi.assets.generators import files
 from genmf_mi.assets.samples import SDF_SUFFIX
 from genmf_mi.assets.sdf_asset import SdfAsset
+from genmf_mi.assets.suffixes import FIELDS
 from genmf_mi.core.errors import AssetError
 
 
@@ -34,7 +35,7 @@ def load(
     """
     if isinstance(source, SdfAsset | Asset):
         asset = source
-    elif Path(source).suffix.lower() in files.FORMATS:
+    elif Path(source).suffix.lower() in FIELDS:
         if isinstance(textured, str | Path):
             textured = meshes.load(textured, files_anywhere=files_anywhere)
         return files.load(source, textured)

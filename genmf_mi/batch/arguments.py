@@ -6,8 +6,7 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
-from genmf_mi.assets.asset import FORMATS as MESHES
-from genmf_mi.assets.generators.files import FORMATS as FIELDS
+from genmf_mi.assets.suffixes import FIELDS, MESHES
 from genmf_mi.batch import storage
 from genmf_mi.batch.items import BatchItem, as_item
 from genmf_mi.batch.manifest import read_manifest

@@ -40,11 +40,11 @@ def convert(
         force: Replace an existing file.
         quiet: No progress, only the line at the end.
     """
-    from genmf_mi.assets.generators.files import FORMATS
     from genmf_mi.assets.samples import resolve
+    from genmf_mi.assets.suffixes import FIELDS
 
     path = resolve(asset)
-    from_mesh = path.suffix.lower() not in FORMATS
+    from_mesh = path.suffix.lower() not in FIELDS
     out = out or Path(f"{path.stem}{SDF[0] if from_mesh else MESH[0]}")
     _check(path, out, samples, textured, from_mesh, force)
     from genmf_mi.cli.progress import TerminalProgress

@@ -9,7 +9,7 @@ from functools import lru_cache
 from math import isfinite
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from genmf_mi.assets.asset import FORMATS
+from genmf_mi.assets.suffixes import MESHES
 from genmf_mi.core import config
 from genmf_mi.core.config import PRESETS, RefineConfig
 from genmf_mi.core.errors import ConfigError
@@ -61,7 +61,7 @@ def options() -> dict[str, Any]:
         },
         "look": LOOK,
         "max_bytes": MAX_BYTES,
-        "suffixes": list(FORMATS),
+        "suffixes": list(MESHES),
     }
 
 

@@ -8,7 +8,7 @@ import zipfile
 from collections.abc import AsyncIterator
 from pathlib import Path, PurePosixPath
 
-from genmf_mi.assets.asset import FORMATS
+from genmf_mi.assets.suffixes import MESHES
 from genmf_mi.core.errors import AssetError, OutputError
 
 MAX_BYTES = 256 * 1024**2
@@ -96,14 +96,14 @@ def find_model(folder: Path) -> Path:
         AssetError: there is none, or there are several of that kind.
     """
     files = sorted(path for path in folder.rglob("*") if path.is_file())
-    for suffix in FORMATS:
+    for suffix in MESHES:
         found = [path for path in files if path.suffix.lower() == suffix]
         if len(found) == 1:
             return found[0]
         if found:
             names = ", ".join(path.name for path in found[:4])
             raise AssetError(f"there are several models: {names}. Choose one of them, with its textures.")
-    suffixes = ", ".join(suffix[1:].upper() for suffix in FORMATS)
+    suffixes = ", ".join(suffix[1:].upper() for suffix in MESHES)
     raise AssetError(f"there is no model among the files. Give one of {suffixes}, or a zip with one and its textures.")
 
 

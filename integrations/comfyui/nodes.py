@@ -16,7 +16,7 @@ from typing import Any, get_args, get_type_hints
 import folder_paths  # of ComfyUI
 from comfy_api.latest import ComfyExtension, io, ui
 
-from genmf_mi.assets.asset import FORMATS as SUFFIXES
+from genmf_mi.assets.suffixes import MESHES
 from genmf_mi.core.config import PRESETS, RefineConfig
 from genmf_mi.core.printer import PRINTERS
 
@@ -262,7 +262,7 @@ def _choices(setting: str) -> list[str]:
 def _inputs() -> list[str]:
     """The meshes in ComfyUI's input folder and below, as paths relative to it."""
     root = Path(folder_paths.get_input_directory())
-    return sorted(path.relative_to(root).as_posix() for path in root.rglob("*") if path.suffix.lower() in SUFFIXES)
+    return sorted(path.relative_to(root).as_posix() for path in root.rglob("*") if path.suffix.lower() in MESHES)
 
 
 def _path(file: str) -> Path:

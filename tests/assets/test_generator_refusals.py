@@ -13,6 +13,7 @@ from generator_files import of_instantmesh, of_trellis, write
 
 from genmf_mi.assets.generators import files
 from genmf_mi.assets.sdf_asset import SdfAsset
+from genmf_mi.assets.suffixes import FIELDS
 from genmf_mi.core.errors import AssetError
 
 
@@ -110,7 +111,7 @@ class TestRefusals:
             files.load(tmp_path / "b.npz")
         assert not (tmp_path / "sprung").exists()
 
-    @pytest.mark.parametrize("suffix", files.FORMATS)
+    @pytest.mark.parametrize("suffix", FIELDS)
     def test_damaged_files(self, tmp_path, suffix):
         whole = write(tmp_path / f"a{suffix}", {"sdf": np.ones(1000)})
         damaged = tmp_path / f"damaged{suffix}"

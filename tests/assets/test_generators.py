@@ -21,6 +21,7 @@ from generator_files import (
 
 from genmf_mi.assets.asset import Asset
 from genmf_mi.assets.generators import files, instantmesh, trellis
+from genmf_mi.assets.suffixes import FIELDS
 from genmf_mi.core.colour import to_linear
 from genmf_mi.core.errors import AssetError
 from genmf_mi.mesh import topology
@@ -28,7 +29,7 @@ from genmf_mi.sdf.flexicubes import bounded_weights
 
 
 class TestInstantMesh:
-    @pytest.mark.parametrize("suffix", files.FORMATS)
+    @pytest.mark.parametrize("suffix", FIELDS)
     @pytest.mark.parametrize("sign", [-5.0, 5.0])
     def test_sign_axes_scale_and_weights(self, tmp_path, suffix, sign):
         """Positive inside or negative, the surface is the one that the generator would mesh, to rounding."""
@@ -79,7 +80,7 @@ def trellis_figure() -> tuple[dict[str, np.ndarray], np.ndarray]:
 
 
 class TestTrellis:
-    @pytest.mark.parametrize("suffix", files.FORMATS)
+    @pytest.mark.parametrize("suffix", FIELDS)
     def test_sign_axes_scale_and_weights(self, trellis_figure, tmp_path, suffix):
         arrays, vertices = trellis_figure
         shape = files.load(write(tmp_path / f"figure{suffix}", arrays | {"resolution": np.array(64)}))

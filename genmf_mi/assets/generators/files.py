@@ -16,6 +16,7 @@ from genmf_mi.assets import asset as meshes
 from genmf_mi.assets.asset import Asset
 from genmf_mi.assets.generators import instantmesh, trellis
 from genmf_mi.assets.sdf_asset import SdfAsset
+from genmf_mi.assets.suffixes import FIELDS
 from genmf_mi.core import colour
 from genmf_mi.core.errors import AssetError
 from genmf_mi.core.files import atomic
@@ -24,9 +25,6 @@ from genmf_mi.mesh.nearest import distance_to_surface
 
 if TYPE_CHECKING:
     from torch import Tensor
-
-FORMATS = (".npz", ".safetensors", ".pt")
-"""Suffixes that :func:`load` reads and, but for ``.pt``, :func:`save` writes."""
 
 LARGEST = 1024**3
 """Bytes of all arrays in a file."""
@@ -115,8 +113,8 @@ def read(path: str | Path) -> dict[str, np.ndarray]:
     suffix = path.suffix.lower()
     if not path.is_file():
         raise AssetError(f"{path} does not exist. Check the spelling, or give the full path.")
-    if suffix not in FORMATS:
-        raise AssetError(f"{path} is of an unknown kind ({suffix or 'no suffix'}). Use one of {', '.join(FORMATS)}.")
+    if suffix not in FIELDS:
+        raise AssetError(f"{path} is of an unknown kind ({suffix or 'no suffix'}). Use one of {', '.join(FIELDS)}.")
     try:
         arrays = {".npz": _read_npz, ".safetensors": _read_safetensors, ".pt": _read_pt}[suffix](path)
     except AssetError:
@@ -145,8 +143,8 @@ def save(shape: SdfAsset, path: str | Path) -> Path:
         mesh = shape.as_mesh()
         encoded = np.rint(255 * colour.to_srgb(mesh.albedo.colours)).astype(np.uint8)
         arrays |= {"vertices": mesh.vertices.astype(np.float32), "faces": mesh.faces, "colours": encoded}
-    if path.suffix.lower() not in FORMATS[:2]:
-        raise AssetError(f"{path} cannot be written; its suffix must be one of {', '.join(FORMATS[:2])}.")
+    if path.suffix.lower() not in FIELDS[:2]:
+        raise AssetError(f"{path} cannot be written; its suffix must be one of {', '.join(FIELDS[:2])}.")
     with atomic(path) as temporary:
         if path.suffix.lower() == ".npz":
             np.savez_compressed(temporary, **arrays)
