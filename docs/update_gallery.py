@@ -78,7 +78,7 @@ def section(name: str, run: Path) -> str:
         jpeg(run / "as_printed.png", PICTURES / f"{name}_printed.jpg")
         lines += [f"![{name}, bead by bead, in filament of 0.2 mm](gallery/{name}_printed.jpg)", ""]
     relief = metrics["relief_mm"]
-    said = f"Relief: mean {relief['mean']:.2f} mm, at most {relief['max']:.2f} mm. Made in {metrics['seconds']:.0f} s."
+    said = f"Relief: mean {relief['mean']:.2f} mm, at most {relief['max']:.2f} mm."
     return "\n".join([*lines, *table(scored), "", said]) + "\n"
 
 
@@ -86,10 +86,11 @@ def table(scored: dict[str, dict]) -> list[str]:
     """LPIPS and SSIM of the shapes, by how they are looked at."""
     rows = ["| | | as it is | displacement | refined |", "|---|---|---|---|---|"]
     for label, scores in scored.items():
-        for key, metric in (("lpips_alex", "LPIPS"), ("ssim", "SSIM")):
-            before, best, after = (scores.get(shape, {}).get(key) for shape in ("before", "displacement", "after"))
-            middle = "" if best is None else f"{best:.3f}"
-            rows.append(f"| {label} | {metric} | {before:.3f} | {middle} | **{after:.3f}** |")
+        for key, metric, best in (("lpips_alex", "LPIPS", min), ("ssim", "SSIM", max)):
+            values = [scores.get(shape, {}).get(key) for shape in ("before", "displacement", "after")]
+            leader = best(value for value in values if value is not None)
+            words = ["" if v is None else f"**{v:.3f}**" if v == leader else f"{v:.3f}" for v in values]
+            rows.append(f"| {label} | {metric} | {' | '.join(words)} |")
     return rows
 
 
