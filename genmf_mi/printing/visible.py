@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import manifold3d
 import numpy as np
@@ -27,18 +28,20 @@ def visible(beads: list[Bead], slices: Slices) -> list[Bead]:
     high = np.max([bead.points.max(axis=0) for bead in beads], axis=0) + 1
     size = tuple(int(n) for n in np.ceil((high - low) / _PIXEL_MM))
     cover_mm = COVER * float(np.median(np.concatenate([bead.width for bead in beads])))
-    hidden: dict[int, np.ndarray] = {}
+
+    @lru_cache(maxsize=2)  # beads come layer by layer, and all layers of a large part would fill gigabytes
+    def hidden(layer: int) -> np.ndarray:
+        return _raster(_covered(slices, layer, cover_mm), low, size)
+
     seen: list[Bead] = []
     for bead in beads:
         if bead.role == "outer":
             seen.append(bead)
         elif bead.role != "support":
-            layer = round(bead.top / slices.layer_mm) - 1
-            if layer not in hidden:
-                hidden[layer] = _raster(_covered(slices, layer, cover_mm), low, size)
             points, step = _sampled(_steps(bead.points, bead.closed))
             column, row = ((points - low) / _PIXEL_MM).astype(int).T
-            seen += _pieces(bead, np.unique(step[~hidden[layer][row, column]]))
+            covered = hidden(round(bead.top / slices.layer_mm) - 1)[row, column]
+            seen += _pieces(bead, np.unique(step[~covered]))
     return seen
 
 
