@@ -83,16 +83,6 @@ class TestField:
         length = 50 * np.linalg.norm(self.vertices[a] - self.vertices[b], axis=1)
         assert (np.abs(field.mask[a] - field.mask[b]) / length).max() <= 1 / 4 + 1e-9
 
-    def test_all_that_is_free_is_of_one_brightness(self, two_views):
-        """The texture is not, and so it is not the texture that is spoken of."""
-        vertices, faces, _ = sphere(5)
-        texture = np.full((64, 64, 3), 128, np.uint8)
-        texture[:, 40::4] = 255
-        toy = Asset.from_arrays("half", vertices, faces, uv=vertices[:, :2] / 2 + 0.5, texture=texture)
-        striped = Regions((dab(radius=60.0),))
-        with pytest.raises(AssetError, match=r"wherever relief is allowed.*--flat-material"):
-            genmf_mi.refine(toy, replace(CONFIG, regions=striped), scene=two_views)
-
     def test_stronger_and_matters(self):
         field = self.on(dab("stronger", 20, 3.0), dab("matters", 20, 2.0, x=-1.0))
         near, far = self.distance < 0, 50 * np.linalg.norm(self.vertices - np.array([-1, 0, 0]), axis=1) < 20
