@@ -104,7 +104,7 @@ def _blocks(phi: Tensor, cell: float, block_size: int) -> tuple[Tensor, Tensor]:
     squared = torch.full_like(inside, 1e-12)
     for axis in AXES:
         size = inside.shape[axis]
-        padded = F.pad(inside, _padding(axis, 1, 1), mode="replicate")
+        padded = F.pad(inside, _both_sides(axis), mode="replicate")
         squared = squared + ((padded.narrow(axis, 2, size) - padded.narrow(axis, 0, size)) / 2).square()
     return F.avg_pool3d(inside, block_size), F.avg_pool3d(squared.sqrt(), block_size)
 
@@ -115,11 +115,11 @@ def _pair(field: Tensor, axis: int) -> tuple[Tensor, Tensor]:
     return field.narrow(axis, 0, size), field.narrow(axis, 1, size)
 
 
-def _padding(axis: int, before: int, after: int) -> list[int]:
-    """For :func:`torch.nn.functional.pad`, which counts from the last axis."""
+def _both_sides(axis: int) -> list[int]:
+    """One sample at each end of an axis, for :func:`torch.nn.functional.pad`, which counts from the last axis."""
     padding = [0] * 6
     first = 2 * (AXES[-1] - axis)
-    padding[first : first + 2] = before, after
+    padding[first : first + 2] = 1, 1
     return padding
 
 
@@ -129,5 +129,7 @@ def _conduction(cooling: Tensor, inverse_volume: Tensor, conductances: tuple[Ten
     for axis, conductance in zip(AXES, conductances, strict=True):
         first, second = _pair(cooling, axis)
         flow = conductance * (second - first)
-        inflow = inflow + F.pad(flow, _padding(axis, 0, 1)) - F.pad(flow, _padding(axis, 1, 0))
+        into_first, into_second = _pair(inflow, axis)
+        into_first += flow
+        into_second -= flow
     return inverse_volume * inflow

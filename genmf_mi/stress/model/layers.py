@@ -123,6 +123,18 @@ def depth_to_space(
     return blocks.permute(0, 1, 5, 2, 6, 3, 7, 4).reshape(b, c // s**3, x * s, y * s, z * s)
 
 
+class InstanceNorm(nn.InstanceNorm3d):
+    """Instance normalisation that keeps the channels last in memory.
+
+    Of one sample it is a batch normalisation, which does; torch's instance normalisation rearranges the field twice.
+    """
+
+    def forward(self, input: Float[Tensor, "batch c x y z"]) -> Float[Tensor, "batch c x y z"]:
+        if len(input) > 1:
+            return super().forward(input)
+        return F.batch_norm(input, None, None, self.weight, self.bias, training=True, momentum=0.0, eps=self.eps)
+
+
 class Res3DBlock(nn.Module):
     """x ↦ ReLU(F(x) + identity(x)), F being two 3×3×3 convolutions with instance normalisation and a ReLU between.
 
@@ -132,9 +144,9 @@ class Res3DBlock(nn.Module):
     def __init__(self, channels: int, out: int) -> None:
         super().__init__()
         self.first = nn.Conv3d(channels, out, 3, padding=1, bias=False)
-        self.first_norm = nn.InstanceNorm3d(out, affine=True)
+        self.first_norm = InstanceNorm(out, affine=True)
         self.second = nn.Conv3d(out, out, 3, padding=1, bias=False)
-        self.second_norm = nn.InstanceNorm3d(out, affine=True)
+        self.second_norm = InstanceNorm(out, affine=True)
         self.identity = nn.Conv3d(channels, out, 1) if channels != out else nn.Identity()
 
     def forward(self, x: Float[Tensor, "batch _ x y z"]) -> Float[Tensor, "batch _ x y z"]:

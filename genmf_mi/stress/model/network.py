@@ -43,6 +43,8 @@ TARGET_SCALE_MPA = 3.0
 CORRECTION = 0.025
 """Unit of what is added to the coarse stress, in log(1 + σ/k): about twice its root mean square. Without it, the steps
 of the optimiser are larger than what is to be learned, and in 250 of them nothing was."""
+MEMORY_FORMAT = torch.channels_last_3d
+"""Of fields and kernels: with the channels first, a step of the training takes a quarter more."""
 CROP_MARGIN = 4
 """Samples of air that :func:`crop_box` leaves about the body: as far as Φ reaches outwards."""
 CROP_MULTIPLE, CROP_MIN_SIDE = 16, 32
@@ -121,6 +123,7 @@ class StressNetwork(nn.Module):
         if architecture.coarse_mm:  # without training it adds nothing to the coarse stress
             for parameter in self.fusion.out.parameters():
                 nn.init.zeros_(parameter)
+        self.to(memory_format=MEMORY_FORMAT)  # pyright: ignore[reportCallIssue]  (not in the types of torch)
 
     def forward(
         self,
@@ -164,7 +167,7 @@ class StressNetwork(nn.Module):
             inputs.append(self.physics(padded_phi, settings))
         if coarse is not None:
             inputs.append(space_to_depth(padded(to_target(coarse)), block_size))
-        x = self.down[0](torch.cat(inputs, dim=1))
+        x = self.down[0](torch.cat(inputs, dim=1).contiguous(memory_format=MEMORY_FORMAT))
         skips = []
         for block in self.down[1:]:
             skips.append(x)
