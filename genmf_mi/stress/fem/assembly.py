@@ -107,29 +107,34 @@ class P1(ShapeFunctions[np.ndarray]):
         """∫ λ div u div v + 2μ ε(u):ε(v), times the relative ``stiffness [T]`` of each cell, plus an isotropic nodal
         ``spring [N]`` in N/mm; in 3×3 blocks, N/mm."""
         low, _, index, ordered = self._edges
-        g, v = self.gradients, self.volumes if stiffness is None else self.volumes * stiffness
         pointers, columns, order = self._pattern
         blocks = np.empty((len(order), 3, 3))
-        cells, edge = self.cells.reshape(-1), index.reshape(-1)
-        # The pair's gradients, that of the lower node first.
+        own, up, down = np.split(blocks, [self.nodes, self.nodes + len(low)])
+        # One component after the other in memory, as all below is done by components
+        g = np.ascontiguousarray(self.gradients.transpose(2, 1, 0))  # [3,4,T]
+        vg = g * (self.volumes if stiffness is None else self.volumes * stiffness)
+        cells, edge, ordered = self.cells.T.reshape(-1), index.T.reshape(-1), ordered.T
         first, second = _PAIRS.T
-        a = np.where(ordered[..., None], g[:, first], g[:, second])
-        b = np.where(ordered[..., None], g[:, second], g[:, first])
-        shear_own = mu * (g**2).sum(axis=2)
-        shear = mu * np.einsum("tpi,tpi->tp", a, b)
+        shear_own = mu * (vg * g).sum(axis=0)
+        shear = mu * sum(vg[i, first] * g[i, second] for i in range(3))
         for i in range(3):
-            for j in range(3):
-                own = (lam + mu) * g[..., i] * g[..., j]
-                off = lam * a[..., i] * b[..., j] + mu * a[..., j] * b[..., i]
+            for j in range(i, 3):
+                entries = (lam + mu) * vg[i] * g[j]
+                # Of the pair in the order of its corners, which is transposed where the higher node comes first
+                straight = lam * vg[i, first] * g[j, second] + mu * vg[j, first] * g[i, second]
                 if i == j:
-                    own, off = own + shear_own, off + shear
-                own = np.bincount(cells, (v[:, None] * own).reshape(-1), self.nodes)
-                if i == j and spring is not None:
-                    own += spring
-                off = np.bincount(edge, (v[:, None] * off).reshape(-1), len(low))
-                blocks[: self.nodes, i, j] = own
-                blocks[self.nodes : self.nodes + len(low), i, j] = off
-                blocks[self.nodes + len(low) :, j, i] = off
+                    entries += shear_own
+                    straight += shear
+                    reverse = straight
+                else:
+                    other = lam * vg[j, first] * g[i, second] + mu * vg[i, first] * g[j, second]
+                    straight, reverse = np.where(ordered, straight, other), np.where(ordered, other, straight)
+                own[:, i, j] = own[:, j, i] = np.bincount(cells, entries.reshape(-1), self.nodes)
+                up[:, i, j] = down[:, j, i] = np.bincount(edge, straight.reshape(-1), len(low))
+                if i != j:
+                    up[:, j, i] = down[:, i, j] = np.bincount(edge, reverse.reshape(-1), len(low))
+        if spring is not None:
+            own[:, range(3), range(3)] += spring[:, None]
         return sp.bsr_matrix((blocks[order], columns, pointers), (3 * self.nodes, 3 * self.nodes))
 
     def divergence_load(self, pressure: np.ndarray) -> np.ndarray:
