@@ -7,12 +7,13 @@
                                                                  └─ Res3DBlock, SE, + mean ─┘
 
 As in the paper but for four settings. The body's box is cropped from the grid first (:func:`crop_box`), as nine samples
-in ten are air. The compact network gathers blocks of 2³ samples into channels on the way in and spreads them out on the
-way out (space to depth and back), so that its convolutions run at half the resolution while its input and its output
-have every sample. It has three more input channels (:class:`~genmf_mi.stress.model.layers.Physics`): how far the body
-has cooled, how firmly the bed holds it, and the height above the bed. And it has the stress on a coarse mesh
-(:mod:`genmf_mi.stress.fem.coarse`), to which it adds what that mesh does not resolve. A network of the paper's size may
-learn all this from many shapes; a small one does not learn it from a few hundred.
+in ten are air. The small networks gather blocks of 2³ or 4³ samples into channels on the way in and spread them out on
+the way out (space to depth and back), so that their convolutions run at a half or a quarter of the resolution while
+input and output have every sample. They have three more input channels
+(:class:`~genmf_mi.stress.model.layers.Physics`): how far the body has cooled, how firmly the bed holds it, and the
+height above the bed. And the compact network has the stress on a coarse mesh (:mod:`genmf_mi.stress.fem.coarse`), to
+which it adds what that mesh does not resolve. A network of the paper's size may learn all this from many shapes; a
+small one does not learn it from a few hundred.
 """
 
 from __future__ import annotations
@@ -97,11 +98,12 @@ class Architecture:
 PRESETS = {
     "paper": Architecture(56),
     "compact": Architecture(24, block_size=2, physics=True, coarse_mm=EDGE_MM),
-    "direct": Architecture(24, block_size=2, physics=True),
+    "direct": Architecture(32, block_size=4, poolings=3, physics=True),
 }
 """``paper``: 46.7 M parameters, 3.4 TFLOP forward at 129³. ``compact``: 8.6 M, 92 GFLOP in the largest crop and half
-of that in the usual one; 1.2 GB with the backward pass. ``direct``: the same without the stress on a coarse mesh: its
-input is Φ alone, as in the paper."""
+of that in the usual one; 1.2 GB with the backward pass. ``direct``: 6.1 M, without the stress on a coarse mesh: its
+input is Φ alone, as in the paper. It has to learn what the whole body does, for which many cheap steps at a quarter of
+the resolution are worth more than few at half of it; see docs/model_card.md."""
 
 
 class StressNetwork(nn.Module):

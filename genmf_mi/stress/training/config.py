@@ -14,7 +14,7 @@ class TrainConfig:
     """How the network is trained."""
 
     preset: Literal["compact", "direct", "paper"] = "compact"
-    """compact (for a CPU too), direct (the same without a coarse mesh) or paper (for a GPU)."""
+    """compact (for a CPU too), direct (without a coarse mesh) or paper (for a GPU)."""
     steps: int = 8000
     """Steps of the optimiser at most."""
     minutes: float = 0.0
