@@ -10,8 +10,8 @@ with the volume fraction V of a block and its surface per volume S. Conduction i
 Aslam 2012): s stages are stable for steps up to s (s + 1) / 2 times that of the explicit Euler scheme. The surface loss
 is split off and follows by backward Euler. In steps of two minutes the result is within about a kelvin of the finite
 elements for parts of 100 mm of PLA, which is enough for a feature of the network. Where heat spreads faster the steps
-are rather long: within two kelvin for PLA at 50 mm, four for PETG at 50 mm. That is for blocks of 2³ samples; with blocks
-of 4³ a part of 100 mm comes out a tenth too cold.
+are rather long: within two kelvin for PLA at 50 mm, four for PETG at 50 mm. That is for blocks of 2³ samples; with
+blocks of 4³ a part of 100 mm comes out a tenth too cold.
 """
 
 from __future__ import annotations

@@ -39,6 +39,14 @@ def mean_absolute_error(predicted: Tensor, true: Tensor, phi: Tensor) -> float:
     return float((predicted[inside] - true[inside]).abs().mean())
 
 
+def squares(predicted: Tensor, true: Tensor, phi: Tensor) -> tuple[float, float]:
+    """Mean square of the error, and that of what is left without the mean, in MPa² over the samples with Φ ≤ 0: the
+    parts of R² = 1 − error / spread."""
+    inside = phi <= 0
+    field = true[inside]
+    return float((predicted[inside] - field).square().mean()), float((field - field.mean()).square().mean())
+
+
 def top_iou(predicted: Tensor, true: Tensor, phi: Tensor) -> float:
     """Intersection over union of the 5 % of the samples inside that are highest in the one field and in the other."""
     inside = phi <= 0
@@ -61,8 +69,8 @@ def score(predict: Predict, samples: StressSamples, progress: Progress | None = 
     """Scores of each sample.
 
     Returns:
-        One row per sample: ``index, shape, family, relief``; ``loss``, :func:`masked_mse` of log(1 + σ/k); ``iou``; and
-        ``mae, mean, band, true_band`` in MPa, the last two within 4 mm of the surface.
+        One row per sample: ``index, shape, family, relief``; ``loss``, :func:`masked_mse` of log(1 + σ/k); ``iou``;
+        ``mae, mean, band, true_band`` in MPa, the last two within 4 mm of the surface; and ``squares``.
     """
     progress, rows, depth = progress or Progress(), [], surface_band_depth(samples.simulation.size_mm)
     for item, record in enumerate(samples.records):
@@ -75,6 +83,7 @@ def score(predict: Predict, samples: StressSamples, progress: Progress | None = 
                 "loss": float(masked_mse(to_target(predicted), to_target(true), phi)),
                 "mae": mean_absolute_error(predicted, true, phi),
                 "iou": top_iou(predicted, true, phi),
+                "squares": squares(predicted, true, phi),
                 "mean": float(true[phi <= 0].mean()),
                 "band": band_mean(predicted, phi, depth),
                 "true_band": band_mean(true, phi, depth),
@@ -87,8 +96,10 @@ def score(predict: Predict, samples: StressSamples, progress: Progress | None = 
 def summary(rows: list[dict]) -> dict[str, dict]:
     """Means over all samples (``all``) and over those of each family.
 
-    ``relief`` is what a refinement relies on: the correlation between the predicted and the true change of the surface
-    band, as log ratios, that relief makes to a shape; None where fewer than three shapes come with and without.
+    ``r2`` is the share of the variance within bodies that is predicted, 1 − Σ error / Σ spread over the samples: of
+    each sample by itself it would be ruled by those whose stress is nearly the same everywhere. ``relief`` is what a
+    refinement relies on: the correlation between the predicted and the true change of the surface band, as log ratios,
+    that relief makes to a shape; None where fewer than three shapes come with and without.
     """
     families = {"all": rows}
     for row in rows:
@@ -98,6 +109,7 @@ def summary(rows: list[dict]) -> dict[str, dict]:
 
 def _means(rows: list[dict]) -> dict:
     means = {key: float(np.mean([row[key] for row in rows])) for key in ("loss", "mae", "iou", "mean")}
+    error, spread = np.sum([row["squares"] for row in rows], axis=0)
     pairs: dict[int, dict[bool, dict]] = {}
     for row in rows:
         pairs.setdefault(row["index"] // 2, {})[row["relief"]] = row
@@ -108,4 +120,4 @@ def _means(rows: list[dict]) -> dict:
     ]
     enough = len(changes) > 2 and np.ptp(changes, axis=0).min() > 0
     relief = float(np.corrcoef(np.transpose(changes))[0, 1]) if enough else None
-    return {"samples": len(rows), **means, "relief": relief}
+    return {"samples": len(rows), **means, "r2": float(1 - error / spread), "relief": relief}

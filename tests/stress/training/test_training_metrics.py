@@ -45,6 +45,10 @@ def test_masked_loss_and_scores_against_loops(tail: float) -> None:
     ours = set(sorted(inside, key=lambda p: -float(predicted[p]))[:3])
     assert metrics.top_iou(predicted, true, phi) == len(ours & set(top)) / len(ours | set(top))
     assert metrics.top_iou(true, true, phi) == 1.0
+    mean = sum(float(true[p]) for p in inside) / len(inside)
+    errors = sum(float(predicted[p] - true[p]) ** 2 for p in inside) / len(inside)
+    spread = sum((float(true[p]) - mean) ** 2 for p in inside) / len(inside)
+    assert metrics.squares(predicted, true, phi) == pytest.approx((errors, spread), rel=1e-5)
     near = [float(true[p]) for p in inside if phi[p] >= -0.5]
     assert metrics.band_mean(true, phi, 0.5) == pytest.approx(np.mean(near), rel=1e-5)
 
@@ -73,12 +77,14 @@ def test_summary_by_family_and_relief() -> None:
             "mae": float(i),
             "iou": 0.5,
             "mean": 1.0,
+            "squares": (0.5 * (i == 0), 1.0),
         }
         | {"band": 1 + 0.1 * (i % 2) * i, "true_band": 2 + 0.4 * (i % 2) * i}
         for i in range(8)
     ]
     table = metrics.summary(rows)
     assert table["all"]["samples"] == 8 and table["all"]["mae"] == 3.5 and table["b"]["mae"] == 5.5
+    assert table["all"]["r2"] == 1 - 0.5 / 8 and table["a"]["r2"] == 1 - 0.5 / 4 and table["b"]["r2"] == 1
     assert table["all"]["relief"] > 0.99, "the change by relief is predicted in proportion"
     assert table["a"]["relief"] is None
 
