@@ -89,7 +89,7 @@ CATALOGUE = (
               "docs/stress.md, In a refinement; docs/model_card.md", ("data",), ("weights",)),
     Benchmark("stress_network_cost", "stress_network_cost_1.json", "seconds of one pass of the stress network", 10,
               "not quoted"),
-    Benchmark("stress_network_scores", "stress_network_test.json", "test scores of the network and of baselines", 20,
+    Benchmark("stress_network_scores", "stress_network_scores.json", "test scores of the network and of baselines", 20,
               "docs/model_card.md, How good it is", ("data",), ("finer", "weights")),
     Benchmark("page", "page.json", "how quickly the page answers: a dropped file, and requests beside a job", 3,
               "docs/ui.md, Speed"),

@@ -19,6 +19,7 @@ VARIANTS = (
     ("compact", PRESETS["compact"], FULL, False),
     ("compact", PRESETS["compact"], MEAN, True),
     ("compact", PRESETS["compact"], MEAN, False),
+    ("direct", PRESETS["direct"], MEAN, True),
     ("narrower, C = 16", Architecture(16, block_size=2), MEAN, True),
     ("wider, C = 32", Architecture(32, block_size=2), MEAN, True),
     ("three poolings", Architecture(24, block_size=2, poolings=3), MEAN, True),
@@ -41,20 +42,15 @@ def main(inputs: Inputs, *, threads: int = 1) -> None:
     for name, architecture, shape, bfloat16 in VARIANTS:
         rows.append({"network": name, **row(architecture, shape, bfloat16 and has_bfloat16)})
         print(rows[-1], flush=True)
-    rows.append({"network": "compact", **row(PRESETS["compact"], MEAN, has_bfloat16, channels_last=True)})
-    print(rows[-1], flush=True)
     record.write(f"stress_network_cost_{threads}", rows)
 
 
-def row(architecture: Architecture, shape: tuple[int, int, int], bfloat16: bool, channels_last: bool = False) -> dict:
+def row(architecture: Architecture, shape: tuple[int, int, int], bfloat16: bool) -> dict:
     """CPU seconds of a forward pass, with the backward pass to the weights, and to Φ."""
     network = StressNetwork(architecture)
     phi = 0.1 * torch.randn(1, 1, *shape)
     # The time of the coarse solve is not included
     coarse = torch.rand(1, 1, *shape) if architecture.coarse_mm else None
-    if channels_last:
-        network = network.to(memory_format=torch.channels_last_3d)  # pyright: ignore[reportCallIssue]  (not in torch's types)
-        phi = phi.contiguous(memory_format=torch.channels_last_3d)
 
     def forward_and_backward() -> None:
         compute.log_stress(network, phi, bfloat16, coarse, Settings()).mean().backward()
@@ -67,7 +63,6 @@ def row(architecture: Architecture, shape: tuple[int, int, int], bfloat16: bool,
         "parameters": sum(p.numel() for p in network.parameters()),
         "window": list(shape),
         "bfloat16": bfloat16,
-        "channels_last": channels_last,
         "forward": cpu_seconds(forward, 2, warm_up=True),
         "training": cpu_seconds(forward_and_backward, 2, warm_up=True),
     }

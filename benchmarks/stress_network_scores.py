@@ -63,11 +63,14 @@ def main(
         for group in ("all", "simple", "complex"):
             means = table[name].get(group, {"samples": 0})
             print(name, group, {k: round(v, 4) for k, v in means.items() if v is not None}, flush=True)
-    record.write(
-        f"stress_network_{split}",
+    edge_mm = samples.settings["simulation"]["edge_mm"]
+    record.write_entry(
+        "stress_network_scores",
+        f"{predictor.about['preset']}, {split}, {edge_mm:g} mm",
         {
+            "machine": record.machine(),
             "sha256": weights.digest(file),
-            "edge_mm": samples.settings["simulation"]["edge_mm"],
+            "edge_mm": edge_mm,
             "labels_edge_mm": labels.settings["simulation"]["edge_mm"],
             "scores": table,
             "samples": rows["network"],
