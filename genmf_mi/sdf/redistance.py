@@ -36,7 +36,8 @@ def redistance(phi: np.ndarray) -> np.ndarray:
     points = (np.argwhere(band) * cell - 1.0 - offset)[reliable]
     far = ~band & (phi < (REACH_CELLS + 1) * cell)
     if len(points) and far.any():
-        tree = KDTree(points, balanced_tree=False, compact_nodes=False)
+        # Far queries visit many leaves: with large ones that takes two thirds of the time
+        tree = KDTree(points, leafsize=64, balanced_tree=False, compact_nodes=False)
         magnitude, _ = tree.query(np.argwhere(far) * cell - 1.0)
         phi[far] = np.copysign(magnitude, phi[far])
     return phi.astype(np.float32)
