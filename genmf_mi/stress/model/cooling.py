@@ -130,7 +130,7 @@ def _conduction(cooling: Tensor, inverse_volume: Tensor, conductances: tuple[Ten
     for axis, conductance in zip(AXES, conductances, strict=True):
         first, second = _pair(cooling, axis)
         flow = conductance * (second - first)
-        into_first, into_second = _pair(inflow, axis)
-        into_first += flow
-        into_second -= flow
+        # Each view is made after the last change, as autograd wants it
+        inflow.narrow(axis, 0, flow.shape[axis]).add_(flow)
+        inflow.narrow(axis, 1, flow.shape[axis]).sub_(flow)
     return inverse_volume * inflow
