@@ -167,3 +167,21 @@ def test_physics_asks_for_the_part() -> None:
     assert (small[:, :1][inside] > 1.1 * large[:, :1][inside]).all(), "half the size cools faster"
     assert not torch.allclose(other[:, :1], large[:, :1], rtol=0.05)
     assert torch.equal(small[:, 1:], large[:, 1:])
+
+
+def test_cooling_has_its_derivative_with_respect_to_distance() -> None:
+    """Φ itself is differentiated here, as `Predictor.field` allows; against central differences."""
+    n, cell = 16, 2 / 15
+    axis = torch.linspace(-1, 1, n, dtype=torch.float64)
+    x, y, z = torch.meshgrid(axis, axis, axis, indexing="ij")
+    phi = ((x / 0.8) ** 2 + (y / 0.7) ** 2 + (z / 0.6) ** 2).sqrt()[None, None] - 1
+    direction = torch.randn(phi.shape, dtype=phi.dtype, generator=torch.Generator().manual_seed(0))
+
+    def mean(field: torch.Tensor) -> torch.Tensor:
+        return relative_cooling(field, cell, 2, 6.0, material("pla"), Settings().protocol).square().mean()
+
+    leaf = phi.clone().requires_grad_()
+    (gradient,) = torch.autograd.grad(mean(leaf), leaf)
+    step = 1e-6
+    difference = (mean(phi + step * direction) - mean(phi - step * direction)) / (2 * step)
+    assert float((gradient * direction).sum()) == pytest.approx(float(difference), rel=1e-4)
