@@ -125,14 +125,12 @@ class P1(ShapeFunctions[np.ndarray]):
                 if i == j:
                     entries += shear_own
                     straight += shear
-                    reverse = straight
                 else:
                     other = lam * vg[j, first] * g[i, second] + mu * vg[i, first] * g[j, second]
                     straight, reverse = np.where(ordered, straight, other), np.where(ordered, other, straight)
+                    up[:, j, i] = down[:, i, j] = np.bincount(edge, reverse.reshape(-1), len(low))
                 own[:, i, j] = own[:, j, i] = np.bincount(cells, entries.reshape(-1), self.nodes)
                 up[:, i, j] = down[:, j, i] = np.bincount(edge, straight.reshape(-1), len(low))
-                if i != j:
-                    up[:, j, i] = down[:, i, j] = np.bincount(edge, reverse.reshape(-1), len(low))
         if spring is not None:
             own[:, range(3), range(3)] += spring[:, None]
         return sp.bsr_matrix((blocks[order], columns, pointers), (3 * self.nodes, 3 * self.nodes))
