@@ -18,7 +18,7 @@ from genmf_mi.stress.fem.materials import material
 from genmf_mi.stress.fem.simulation import Settings
 from genmf_mi.stress.model.cooling import relative_cooling
 
-FLOAT32_BELOW = 512
+FLOAT32_BELOW = 32
 """Samples below which a field is always convolved in float32."""
 
 
@@ -49,8 +49,8 @@ class GeometricGradient(nn.Module):
         components, laplacian = [], torch.zeros_like(phi)
         for axis, field in enumerate(across, start=2):
             previous, centre, following = _neighbours(field, axis)
-            components.append((following - previous) / (2 * self.cell))
-            laplacian = laplacian + (following - 2 * centre + previous) / self.cell
+            components.append((following - previous).div_(2 * self.cell))
+            laplacian += (following + previous).sub_(centre, alpha=2).div_(self.cell)
         gradient = torch.cat(components, dim=1)
         length = (gradient.square().sum(dim=1, keepdim=True) + self.SOFT**2).sqrt()
         return torch.cat([phi, gradient / length, laplacian], dim=1)
@@ -102,7 +102,7 @@ def _neighbours(field: Tensor, axis: int) -> list[Tensor]:
 
 def _smoothed(field: Tensor, axis: int) -> Tensor:
     previous, centre, following = _neighbours(field, axis)
-    return (previous + following) / 4 + centre / 2
+    return (previous + following).div_(4).add_(centre, alpha=0.5)
 
 
 def space_to_depth(

@@ -111,7 +111,9 @@ class Trainer:
         if config.start:
             start, _ = weights.load(config.start, preset=config.preset, simulation=self.simulation)
             self.net.load_state_dict(start.state_dict())
-        self.optimiser = torch.optim.AdamW(self.net.parameters(), config.rate, weight_decay=config.weight_decay)
+        self.optimiser = torch.optim.AdamW(
+            self.net.parameters(), config.rate, weight_decay=config.weight_decay, fused=True
+        )
         self.step, self.seconds, self.nonfinite_steps = 0, 0.0, 0
         self.best, self.since_best = math.inf, 0
         self.best_weights: dict[str, Tensor] = {}
