@@ -38,8 +38,8 @@ class Inputs:
     """Data set for the stress network, as `genmf-mi stress dataset` writes it."""
     finer: Path | None = None
     """The test samples of that data set, simulated with --edge-mm 1.2."""
-    weights: Path | None = None
-    """Weights of the stress network; those of the package if not given."""
+    weights: str = "compact"
+    """The stress network: one of the package, or a file of weights."""
     out: Path = Path("runs/benchmarks")
     """Folder of the refinements; those that are finished there are not repeated."""
 

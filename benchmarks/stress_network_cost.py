@@ -23,7 +23,6 @@ VARIANTS = (
     ("narrower, C = 16", Architecture(16, block_size=2), MEAN, True),
     ("wider, C = 32", Architecture(32, block_size=2), MEAN, True),
     ("three poolings", Architecture(24, block_size=2, poolings=3), MEAN, True),
-    ("blocks of 4³, C = 48", Architecture(48, block_size=4, poolings=3), MEAN, True),
     ("no blocks, C = 8", Architecture(8), MEAN, True),
 )
 """Name, architecture, samples of Φ, and whether to compute in bfloat16 where the processor has it."""

@@ -16,7 +16,7 @@ from benchmarks import record
 from benchmarks.inputs import Inputs
 from genmf_mi.stress.data.reader import StressSamples
 from genmf_mi.stress.model import weights
-from genmf_mi.stress.model.predictor import PACKAGED, Predictor
+from genmf_mi.stress.model.predictor import Predictor
 from genmf_mi.stress.training import baselines, metrics
 from genmf_mi.stress.training.metrics import Predict
 
@@ -44,7 +44,7 @@ def main(
         threads: Of the CPU.
     """
     torch.set_num_threads(threads)
-    data, file = inputs.require("data"), inputs.weights or PACKAGED
+    data, file = inputs.require("data"), weights.file_of(inputs.weights)
     predictor = Predictor(inputs.weights)
     samples, labels = (StressSamples(folder, split, cache=cache) for folder in (inputs.finer or data, data))
     weights.check_simulation(file, predictor.about["simulation"], samples.settings["simulation"])

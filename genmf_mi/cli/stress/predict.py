@@ -23,7 +23,7 @@ def predict(
     size_mm: float | None = None,
     material: str | None = None,
     protocol: Protocol = Protocol(),  # noqa: B008  (frozen)
-    weights: Path | None = None,
+    weights: str = "compact",
     device: Literal["auto", "cpu", "cuda"] = "auto",
     picture: bool = True,
     force: bool = False,
@@ -36,7 +36,7 @@ def predict(
         size_mm: Longest side of the part; that of the network's training if not given.
         material: pla, petg, abs or resin; that of the training if not given.
         protocol: What is predicted; the protocol of the training if all of it is left at its defaults.
-        weights: File of a training; that of the package if not given.
+        weights: Network of the package, or the file of a training.
         device: Where the network runs.
         picture: Render stress.png.
         force: Replace existing results.
@@ -72,7 +72,7 @@ def predict(
     print(f"{asset.name}: {caption(numbers)}; results in {out}")
 
 
-def _predictor(weights: Path | None, device: str, changes: dict[str, Any]) -> Predictor:
+def _predictor(weights: str, device: str, changes: dict[str, Any]) -> Predictor:
     """The predictor for the settings of its training with ``changes``; it warns if the network does not know those.
 
     Raises:

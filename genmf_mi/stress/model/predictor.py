@@ -23,8 +23,6 @@ from genmf_mi.stress.fem.tet_mesh import TetMesh
 from genmf_mi.stress.model import compute, domain, weights
 from genmf_mi.stress.model.network import Box
 
-PACKAGED = Path(__file__).with_name("compact.safetensors")
-PACKAGED_SHA256 = "d6245629f5b1e2f0a46d60bb7e360b30bf2bfa76f584af845bf59f302996c294"
 SIZE_TOLERANCE = 0.1
 """Share by which the size of a part may differ from that in training: the time to cool goes with its square."""
 THIN_WITHOUT_WARNING = 0.01
@@ -86,7 +84,7 @@ class Predictor:
     training only: for a part of another size, material, protocol or grid it is left out, and ``note`` says so.
 
     Args:
-        file: weights from a training; those of the package if not given.
+        name: preset of a network of the package, or a file of weights: :func:`weights.file_of`.
         device: ``auto``, ``cpu`` or ``cuda``. precision: ``auto``, ``float32`` or ``bfloat16``.
         settings: how the part is simulated; as in training if not given. Their ``edge_mm`` is not used.
 
@@ -101,15 +99,12 @@ class Predictor:
 
     def __init__(
         self,
-        file: str | Path | None = None,
+        name: str | Path = "compact",
         device: str = "auto",
         precision: str = "auto",
         settings: Settings | None = None,
     ) -> None:
-        if file is None:
-            network, about = weights.load(PACKAGED, preset="compact", sha256=PACKAGED_SHA256)
-        else:
-            network, about = weights.load(file)
+        network, about = weights.load(name)
         self.device = compute.device_of(device)
         self.network = network.to(self.device)
         self.bfloat16 = compute.bfloat16_on(self.device, precision)

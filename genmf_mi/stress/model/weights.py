@@ -16,6 +16,8 @@ from genmf_mi.stress.fem.protocol import Protocol
 from genmf_mi.stress.fem.simulation import Settings
 from genmf_mi.stress.model.network import Architecture, StressNetwork
 
+PACKAGED = {"compact": "d6245629f5b1e2f0a46d60bb7e360b30bf2bfa76f584af845bf59f302996c294"}
+"""The SHA-256 of each file that comes with the package, by the preset of its network."""
 KEY, FORMAT = "genmf_mi_stress_network", 1
 """All in one entry of the header: safetensors writes several in a random order, and the hash would change."""
 _RENAMED = {"film_w_m2k": "heat_transfer_coefficient_w_m2k", "side": "block_size"}
@@ -52,13 +54,17 @@ def save(path: str | Path, network: StressNetwork, preset: str, simulation: dict
     return digest(path)
 
 
-def load(
-    path: str | Path, *, preset: str | None = None, simulation: dict | None = None, sha256: str | None = None
-) -> tuple[StressNetwork, dict]:
-    """The network in a file, ready to predict on the CPU, and its header.
+def file_of(name: str | Path) -> Path:
+    """The file of a network of the package, by its preset; any other ``name`` is the path of a file."""
+    return Path(__file__).with_name(f"{name}.safetensors") if name in PACKAGED else Path(name)
+
+
+def load(name: str | Path, *, preset: str | None = None, simulation: dict | None = None) -> tuple[StressNetwork, dict]:
+    """A network, ready to predict on the CPU, and the header of its file.
 
     Args:
-        preset, simulation, sha256: what the file must hold and hash to, where given.
+        name: see :func:`file_of`.
+        preset, simulation: what the file must hold, where given.
 
     Returns:
         The network, and ``preset``, ``architecture``, ``simulation`` and ``training`` by name, see :func:`save`.
@@ -68,10 +74,10 @@ def load(
     """
     from safetensors import SafetensorError, safe_open
 
-    path = Path(path)
+    path = file_of(name)
     if not path.is_file():
         raise WeightsError(f"{path} does not exist; give weights that `genmf-mi stress train` wrote.")
-    if sha256 is not None and digest(path) != sha256:
+    if name in PACKAGED and digest(path) != PACKAGED[str(name)]:
         raise WeightsError(f"{path} is not the file that was published (its SHA-256 differs); install it again.")
     try:
         with safe_open(path, framework="pt") as file:

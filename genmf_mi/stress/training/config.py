@@ -34,7 +34,8 @@ class TrainConfig:
     patience: int = 15
     """Validations without a better one after which the training ends."""
     start: str = ""
-    """File of weights to begin from, of the same network and protocol; at random if not given."""
+    """Weights to begin from, of the same network and protocol: its preset for those of the package, or a file; at
+    random if not given."""
     seed: int = 0
     """Of weights, order and symmetries."""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"

@@ -227,7 +227,7 @@ class Trainer:
         self.net.load_state_dict(self.best_weights)
         about = {
             **asdict(self.config),
-            "start": self.config.start and weights.digest(self.config.start),
+            "start": self.config.start and weights.digest(weights.file_of(self.config.start)),
             "steps_made": self.step,
             "samples": {split: len(samples) for split, samples in self.samples.items()},
             "validation": self.best_scores,

@@ -12,7 +12,7 @@ import torch
 from stress_samples import N, ball
 
 from genmf_mi.stress.fem.simulation import Settings
-from genmf_mi.stress.model import compute, network, predictor, weights
+from genmf_mi.stress.model import compute, network, weights
 from genmf_mi.stress.model.network import Architecture, to_stress
 from genmf_mi.stress.model.weights import WeightsError
 
@@ -25,72 +25,68 @@ def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def saved(tmp_path: Path) -> tuple[Path, str]:
+def saved(tmp_path: Path) -> Path:
     torch.manual_seed(0)
     net = network.build_network("compact", N)
     path = tmp_path / "weights.safetensors"
-    return path, weights.save(path, net, "compact", asdict(Settings(grid=N)), {"steps_made": 1})
+    weights.save(path, net, "compact", asdict(Settings(grid=N)), {"steps_made": 1})
+    return path
 
 
-def test_weights_come_back(saved: tuple[Path, str]) -> None:
+def test_weights_come_back(saved: Path) -> None:
     from safetensors.numpy import load_file
 
-    path, digest = saved
     torch.manual_seed(0)
     net = network.build_network("compact", N)
-    again, about = weights.load(path, preset="compact", simulation=asdict(Settings(grid=N, edge_mm=1.2)), sha256=digest)
+    again, about = weights.load(saved, preset="compact", simulation=asdict(Settings(grid=N, edge_mm=1.2)))
     assert about["preset"] == "compact" and about["training"] == {"steps_made": 1}
     phi = torch.from_numpy(ball((0.6, 0.9, 0.7)))[None, None]
     with torch.no_grad():
         assert torch.allclose(net(phi), again(phi), atol=0.01)
-    raw = load_file(path)
+    raw = load_file(saved)
     assert raw.keys() == net.state_dict().keys() and {x.dtype for x in raw.values()} == {np.dtype("float16")}
 
 
-def test_bad_weights(saved: tuple[Path, str], tmp_path: Path) -> None:
-    path, digest = saved
+def test_bad_weights(saved: Path, tmp_path: Path) -> None:
     with pytest.raises(WeightsError, match="does not exist"):
         weights.load(tmp_path / "none.safetensors")
-    with pytest.raises(WeightsError, match="SHA-256"):
-        weights.load(path, sha256="0" * 64)
     with pytest.raises(WeightsError, match="not 'paper'"):
-        weights.load(path, preset="paper", sha256=digest)
+        weights.load(saved, preset="paper")
     hot = asdict(Settings(grid=N, protocol=replace(Settings().protocol, heat_transfer_coefficient_w_m2k=10.0)))
     with pytest.raises(WeightsError, match="heat_transfer_coefficient_w_m2k"):
-        weights.load(path, simulation=hot)
+        weights.load(saved, simulation=hot)
     with pytest.raises(WeightsError, match="material"):
-        weights.load(path, simulation=asdict(Settings(grid=N, material="abs")))
-    whole = path.read_bytes()
+        weights.load(saved, simulation=asdict(Settings(grid=N, material="abs")))
+    whole = saved.read_bytes()
     for damaged in (whole[:-100], whole[:50], b"", b"not at all"):
-        path.write_bytes(damaged)
+        saved.write_bytes(damaged)
         with pytest.raises(WeightsError, match="damaged"):
-            weights.load(path)
+            weights.load(saved)
     from safetensors.torch import save_file
 
-    save_file({"a": torch.zeros(1)}, path)
+    save_file({"a": torch.zeros(1)}, saved)
     with pytest.raises(WeightsError, match="no stress network"):
-        weights.load(path)
+        weights.load(saved)
     for header in ("[1]", "{", "[" * 100_000):
-        save_file({"a": torch.zeros(1)}, path, {weights.KEY: header})
+        save_file({"a": torch.zeros(1)}, saved, {weights.KEY: header})
         with pytest.raises(WeightsError, match="no stress network"):
-            weights.load(path)
-    save_file({"a": torch.zeros(1)}, path, {weights.KEY: json.dumps({"format": weights.FORMAT, "architecture": 3})})
+            weights.load(saved)
+    save_file({"a": torch.zeros(1)}, saved, {weights.KEY: json.dumps({"format": weights.FORMAT, "architecture": 3})})
     with pytest.raises(WeightsError, match="does not fit"):
-        weights.load(path)
+        weights.load(saved)
 
 
-def test_weights_that_do_not_fit_their_description(saved: tuple[Path, str]) -> None:
+def test_weights_that_do_not_fit_their_description(saved: Path) -> None:
     from safetensors import safe_open
     from safetensors.torch import load_file, save_file
 
-    path, _ = saved
-    with safe_open(path, framework="pt") as file:
+    with safe_open(saved, framework="pt") as file:
         header = file.metadata()
-    tensors = load_file(path)
+    tensors = load_file(saved)
     tensors.pop("fusion.out.bias")
-    save_file(tensors, path, header)
+    save_file(tensors, saved, header)
     with pytest.raises(WeightsError, match="does not fit"):
-        weights.load(path)
+        weights.load(saved)
 
 
 def test_stress_of_a_prediction_is_not_negative() -> None:
@@ -106,11 +102,9 @@ def test_former_names_are_translated() -> None:
     """The weights of the package say ``side`` and ``film_w_m2k`` in their header, which their hash protects."""
     from safetensors import safe_open
 
-    with safe_open(predictor.PACKAGED, framework="pt") as file:
+    with safe_open(weights.file_of("compact"), framework="pt") as file:
         header = json.loads(file.metadata()[weights.KEY])
     assert header["architecture"]["side"] == 2 and header["simulation"]["protocol"]["film_w_m2k"] == 5.0
-    net, about = weights.load(
-        predictor.PACKAGED, preset="compact", simulation=asdict(Settings()), sha256=predictor.PACKAGED_SHA256
-    )
+    net, about = weights.load("compact", preset="compact", simulation=asdict(Settings()))
     assert net.architecture == Architecture(24, block_size=2, physics=True, coarse_mm=2.5)
     assert about["architecture"] == asdict(net.architecture) and about["simulation"] == asdict(Settings())

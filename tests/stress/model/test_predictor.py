@@ -116,14 +116,12 @@ def test_bad_input(file: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
     tiny = Predictor(file)
     with pytest.raises(SolidError, match="not numbers"):
         tiny.predict(np.full((4, 3), np.nan), np.array([[0, 1, 2]]))
-    monkeypatch.setattr(predictor, "PACKAGED", tmp_path / "none.safetensors")
     with pytest.raises(WeightsError, match="does not exist"):
-        Predictor()
-    monkeypatch.setattr(predictor, "PACKAGED", file)
-    monkeypatch.setattr(predictor, "PACKAGED_SHA256", "0" * 64)
+        Predictor(tmp_path / "none.safetensors")
+    monkeypatch.setattr(weights, "file_of", lambda name: file)
     with pytest.raises(WeightsError, match="SHA-256"):
         Predictor()
-    monkeypatch.setattr(predictor, "PACKAGED_SHA256", weights.digest(file))
+    monkeypatch.setitem(weights.PACKAGED, "compact", weights.digest(file))
     assert Predictor().about["preset"] == "compact"
 
 
