@@ -104,7 +104,7 @@ site = Path({str(tmp_path / "site")!r})
 for name in ("", ".plugins.twolight", ".scenes", ".stress.model.weights"):
     module = sys.modules["genmf_mi" + name]
     assert Path(module.__file__).is_relative_to(site), module
-assert (site / "genmf_mi/stress/model/compact.safetensors").is_file()
+assert all(weights.file_of(name).is_file() for name in weights.PACKAGED)
 sys.exit(code)
 """
     environment = {**os.environ, "PYTHONPATH": str(tmp_path / "site"), "HOME": str(tmp_path)}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -86,7 +86,8 @@ class Predictor:
     Args:
         name: preset of a network of the package, or a file of weights: :func:`weights.file_of`.
         device: ``auto``, ``cpu`` or ``cuda``. precision: ``auto``, ``float32`` or ``bfloat16``.
-        settings: how the part is simulated; as in training if not given. Their ``edge_mm`` is not used.
+        settings: how the part is simulated; as in training if not given. Their ``edge_mm`` is that of the mesh that a
+            prediction is drawn on.
 
     Attributes:
         settings: those of the part.
@@ -110,7 +111,8 @@ class Predictor:
         self.bfloat16 = compute.bfloat16_on(self.device, precision)
         self.about = about
         trained = weights.settings_of(about["simulation"])
-        self.settings = settings or trained
+        # The mesh that a field is drawn on is as fine as in a simulation, whatever that of the training was
+        self.settings = settings or replace(trained, edge_mm=Settings().edge_mm)
         self.note = untrained(self.settings, trained)
 
     @property

@@ -16,7 +16,10 @@ from genmf_mi.stress.fem.protocol import Protocol
 from genmf_mi.stress.fem.simulation import Settings
 from genmf_mi.stress.model.network import Architecture, StressNetwork
 
-PACKAGED = {"compact": "d6245629f5b1e2f0a46d60bb7e360b30bf2bfa76f584af845bf59f302996c294"}
+PACKAGED = {
+    "compact": "d6245629f5b1e2f0a46d60bb7e360b30bf2bfa76f584af845bf59f302996c294",
+    "direct": "25e58182a9fc2c213faddb599da945dd376adbd42563ec246de27aee7fab3ebc",
+}
 """The SHA-256 of each file that comes with the package, by the preset of its network."""
 KEY, FORMAT = "genmf_mi_stress_network", 1
 """All in one entry of the header: safetensors writes several in a random order, and the hash would change."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import torch
 import trimesh
 
 from genmf_mi.stress.fem.simulation import Settings, Simulation, simulate
-from genmf_mi.stress.model import domain
+from genmf_mi.stress.model import domain, weights
 from genmf_mi.stress.model.predictor import Predictor, summary
 
 TRAINED = Settings()
@@ -50,6 +51,26 @@ def test_gives_what_it_gave_when_it_was_published() -> None:
     assert numbers["von_mises_mpa"]["p99_9"] == pytest.approx(1.23374916, rel=1e-4)
     assert numbers["surface_band"]["mean"] == pytest.approx(0.68467140, rel=1e-5)
     assert prediction.warnings == []
+
+
+def test_without_a_mesh() -> None:
+    """The network without the coarse field: in one pass, with derivatives, and as it was published."""
+    direct, truth = Predictor("direct", precision="float32"), simulated(TRAINED)
+    assert direct.about["preset"] == "direct" and direct.settings == TRAINED and direct.note == ""
+    phi = torch.from_numpy(truth.phi)[None].requires_grad_()
+    assert direct.coarse(phi) is None
+    inside = phi.detach() <= 0
+    predicted, true = direct.field(phi)[inside], torch.from_numpy(truth.on_grid()[0])[None][inside]
+    assert float((predicted - true).detach().abs().mean() / true.mean()) < 0.2
+    assert float(predicted.detach().mean()) == pytest.approx(0.46914622, rel=1e-4)
+    gradient = torch.autograd.grad(predicted.mean(), phi)[0]
+    assert gradient.isfinite().all() and (gradient != 0).any()
+
+
+def test_the_model_card_names_the_files() -> None:
+    card = (Path(__file__).parents[3] / "docs/model_card.md").read_text(encoding="utf-8")
+    for name, digest in weights.PACKAGED.items():
+        assert f"`genmf_mi/stress/model/{name}.safetensors`" in card and digest in card
 
 
 @pytest.mark.parametrize(("size_mm", "material"), [(50.0, "pla"), (100.0, "petg"), (50.0, "petg"), (106.0, "pla")])

@@ -52,7 +52,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_one_call_is_the_network_on_the_distance(file: Path) -> None:
     mesh = ball()
     tiny = Predictor(file, precision="float32")
-    assert tiny.settings == SETTINGS
+    assert tiny.settings == replace(SETTINGS, edge_mm=Settings().edge_mm)
     prediction = tiny.predict(mesh.vertices, mesh.faces)
     frame = prediction.frame
     assert frame.size_mm == 80.0 and np.allclose(frame.centre, [1, 2, 3])
